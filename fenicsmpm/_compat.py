@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Every touch of an API that differs between dolfinx 0.9, 0.10 and 0.11, one function each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from dolfinx import fem, jit
+
+
+def compile_form(comm: Any, form: ufl.Form, jit_options: dict[str, Any]) -> tuple[Any, Any]:
+    """Compile a UFL form with FFCx once on all ranks.
+
+    Args:
+        comm: MPI communicator over which the compilation is shared (rank 0 compiles).
+        form: UFL form; any mesh of it may be a pure UFL one.
+        jit_options: options of ``dolfinx.jit.ffcx_jit``.
+
+    Returns:
+        The ``ufcx_form`` C object and the CFFI module that keeps it alive.
+    """
+    compiled, module, _ = jit.ffcx_jit(comm, form, {"scalar_type": np.float64}, jit_options)
+    return compiled, module
+
+
+def kernel_address(compiled: Any, module: Any) -> int:
+    """Address of the only ``tabulate_tensor`` function of a compiled form.
+
+    The function takes 6 pointers in FFCx 0.9 and 7 (a trailing user pointer) from 0.10 on.
+    """
+    function = compiled.form_integrals[0].tabulate_tensor_float64
+    return int(module.ffi.cast("intptr_t", function))
+
+
+def bc_dofs(bc: fem.DirichletBC) -> npt.NDArray[np.int32]:
+    """Constrained degrees of freedom of this rank, ghosts included, unrolled.
+
+    Args:
+        bc: Dirichlet condition.
+
+    Returns:
+        ``(n,)`` int32 local indices (block size unrolled).
+    """
+    cpp = getattr(bc, "_cpp_object", bc)
+    return cpp.dof_indices()[0]
+
+
+def bc_set(
+    bc: fem.DirichletBC,
+    x: npt.NDArray[np.float64],
+    x0: npt.NDArray[np.float64] | None,
+    alpha: float,
+) -> None:
+    """Set the constrained entries of ``x`` to ``alpha * (g - x0)``.
+
+    Args:
+        bc: Dirichlet condition with the values ``g``.
+        x: ``(n,)`` array of the local vector, ghosts included or not.
+        x0: array as ``x``, or None for zero.
+        alpha: factor.
+    """
+    cpp = getattr(bc, "_cpp_object", bc)
+    cpp.set(x, x0, alpha)
+
+
+def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
+    """Cell to geometry node map ``(n_cells, n_nodes)`` of a mesh with one cell type."""
+    return mesh.geometry.dofmap

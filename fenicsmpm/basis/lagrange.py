@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""Lagrange functions of any degree on triangles, tetrahedra, quadrilaterals and hexahedra."""
+
+from __future__ import annotations
+
+import weakref
+from typing import TYPE_CHECKING, Any
+
+import basix
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm import _compat
+from fenicsmpm.basis.stencil import derivative_rows
+
+if TYPE_CHECKING:
+    from fenicsmpm.points.material_points import MaterialPoints
+
+
+class LagrangeStencil:
+    """Point stencil of the finite elements of the background mesh: a group is a cell.
+
+    Tables are kept until the points move, per element and order of derivatives.
+
+    Args:
+        points: the point set.
+    """
+
+    def __init__(self, points: MaterialPoints) -> None:
+        """Create an empty cache; nothing is tabulated yet."""
+        # A strong reference would keep the points alive as key of the stencil registry.
+        self._points = weakref.ref(points)
+        self._version = -1
+        self._tables: dict[tuple[int, int], npt.NDArray[np.float64]] = {}
+        self._jacobians: npt.NDArray[np.float64] | None = None
+
+    @property
+    def points(self) -> MaterialPoints:
+        """The point set."""
+        points = self._points()
+        assert points is not None
+        return points
+
+    @property
+    def order(self) -> npt.NDArray[np.int64]:
+        """``(n_points,)`` storage index of each point, in the order of cells."""
+        return self.points.order
+
+    @property
+    def offsets(self) -> npt.NDArray[np.int64]:
+        """``(n_cells + 1,)`` range of the points of each local cell within ``order``."""
+        return self.points.cell_offsets
+
+    def dofs(self, space: Any) -> npt.NDArray[np.int32]:
+        """``(n_cells, n_nodes)`` cell dofmap of a function space (blocks)."""
+        return space.dofmap.list
+
+    def jacobian(self) -> npt.NDArray[np.float64]:
+        """``(n_points, d, d)`` dx/dxi at the points, in m, in the order of cells."""
+        self._refresh()
+        if self._jacobians is None:
+            self._jacobians = self._tabulate_jacobian()
+        return self._jacobians
+
+    def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
+        """Values and derivatives of a scalar element's functions at the points.
+
+        Args:
+            element: scalar basix element with identity map.
+            derivatives: highest order of derivatives, 0 to 2.
+
+        Returns:
+            ``(n_points, n_rows, n_nodes)``, see ``PointStencil.table``.
+        """
+        self._refresh()
+        key = (hash(element), derivatives)
+        if key not in self._tables:
+            self._tables[key] = self._tabulate(element, derivatives)
+        return self._tables[key]
+
+    def _refresh(self) -> None:
+        if self._version != self.points.version:
+            self._version = self.points.version
+            self._tables = {}
+            self._jacobians = None
+
+    def _cells(self) -> npt.NDArray[np.int32]:
+        return self.points.cell[self.points.order]
+
+    def _reference_coordinates(self) -> npt.NDArray[np.float64]:
+        return self.points.xi[self.points.order]
+
+    def _tabulate_geometry(self, derivatives: int) -> tuple[npt.NDArray[np.float64], Any]:
+        mesh = self.points.mesh
+        element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
+        reference = element.tabulate(derivatives, self._reference_coordinates())[..., 0]
+        dim = mesh.geometry.dim
+        nodes = mesh.geometry.x[_compat.geometry_dofmap(mesh)[self._cells()], :dim]
+        return reference, nodes
+
+    def _tabulate_jacobian(self) -> npt.NDArray[np.float64]:
+        dim = self.points.mesh.geometry.dim
+        reference, nodes = self._tabulate_geometry(1)
+        return np.einsum("kpa,pai->pik", reference[1 : dim + 1], nodes, optimize=True)
+
+    def _tabulate(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
+        dim = self.points.mesh.geometry.dim
+        reference = element.tabulate(derivatives, self._reference_coordinates())[..., 0]
+        n_points, n_nodes = reference.shape[1:]
+        table = np.empty((n_points, derivative_rows(derivatives, dim), n_nodes))
+        table[:, 0, :] = reference[0]
+        if derivatives > 0:
+            inverse = np.linalg.inv(self.jacobian())
+            _push_forward_gradients(reference[1 : dim + 1], inverse, table)
+            if derivatives > 1:
+                second = reference[_second_derivatives(dim)]
+                _push_forward_hessians(second, inverse, self._map_curvature(), table)
+        return table
+
+    def _map_curvature(self) -> npt.NDArray[np.float64]:
+        """``(n_points, d, d, d)`` second derivatives x_m,kl of the cell map; zero if affine."""
+        dim = self.points.mesh.geometry.dim
+        reference, nodes = self._tabulate_geometry(2)
+        return np.einsum("klpa,pam->pmkl", reference[_second_derivatives(dim)], nodes)
+
+
+def _second_derivatives(dim: int) -> npt.NDArray[np.int64]:
+    """``(d, d)`` positions of the second derivatives in basix' tabulation."""
+    unit = np.eye(dim, dtype=int)
+    return np.array([[basix.index(*(unit[k] + unit[m])) for m in range(dim)] for k in range(dim)])
+
+
+@numba.njit(cache=True)
+def _push_forward_gradients(reference, inverse, table):  # type: ignore[no-untyped-def]
+    """dN/dx_j = dN/dxi_k K_kj into rows 1 ... d of the table."""
+    dim, n_points, n_nodes = reference.shape
+    for p in range(n_points):
+        for j in range(dim):
+            for a in range(n_nodes):
+                value = 0.0
+                for k in range(dim):
+                    value += reference[k, p, a] * inverse[p, k, j]
+                table[p, 1 + j, a] = value
+
+
+@numba.njit(cache=True)
+def _push_forward_hessians(second, inverse, curvature, table):  # type: ignore[no-untyped-def]
+    """N_,ij = (N_,kl - N_,m x_m,kl) K_ki K_lj: chain rule with the curvature of the cell map.
+
+    The rows of the physical gradient N_,m must be filled already.
+    """
+    dim, _, n_points, n_nodes = second.shape
+    for p in range(n_points):
+        for a in range(n_nodes):
+            for i in range(dim):
+                for j in range(dim):
+                    value = 0.0
+                    for k in range(dim):
+                        for m in range(dim):
+                            reference = second[k, m, p, a]
+                            for r in range(dim):
+                                reference -= table[p, 1 + r, a] * curvature[p, r, k, m]
+                            value += reference * inverse[p, k, i] * inverse[p, m, j]
+                    table[p, 1 + dim + i * dim + j, a] = value

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: MIT
+"""PointStencil: the grid functions that are not zero at each material point.
+
+Points are handled in *groups* that see the same grid functions: the points of a cell for
+Lagrange elements, the points between the same knots for splines on lattices. All arrays here
+have one row a point **in group order**; ``order`` leads back to the storage order.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+
+class PointStencil(Protocol):
+    """What the assembly and the mapping need to know of a basis on a point set."""
+
+    @property
+    def order(self) -> npt.NDArray[np.int64]:
+        """``(n_points,)`` storage index of each point, in group order."""
+
+    @property
+    def offsets(self) -> npt.NDArray[np.int64]:
+        """``(n_groups + 1,)`` range of the points of each group within ``order``."""
+
+    def dofs(self, space: Any) -> npt.NDArray[np.int32]:
+        """``(n_groups, n_nodes)`` local blocks of a function space seen by each group."""
+
+    def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
+        """Grid functions and their derivatives at the points.
+
+        Args:
+            element: scalar basix element.
+            derivatives: 0 for values, 1 also for gradients, 2 also for second derivatives.
+
+        Returns:
+            ``(n_points, n_rows, n_nodes)``; rows are the value, then d gradients in 1/m, then
+            d*d second derivatives in 1/m^2 (row-major).
+        """
+
+
+def derivative_rows(derivatives: int, dim: int) -> int:
+    """Number of table rows for values and derivatives up to the given order."""
+    return sum(dim**k for k in range(derivatives + 1))

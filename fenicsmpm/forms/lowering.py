@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: MIT
+"""Integrand over material points -> pointwise form over slots.
+
+Everything in a UFL integrand that depends on the point (arguments, coefficients, their gradients
+and averages, geometry) is replaced by components of three vectors: the slots of the test
+function, the slots of the trial function and the inputs. What remains is algebra, which FFCx
+compiles as a form with one quadrature point on an interval of length one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.algorithms import expand_derivatives, expand_indices
+from ufl.classes import (
+    CellAvg,
+    Coefficient,
+    ComplexValue,
+    ComponentTensor,
+    Conj,
+    Division,
+    FacetAvg,
+    FixedIndex,
+    GeometricQuantity,
+    Grad,
+    Imag,
+    Indexed,
+    IndexSum,
+    ListTensor,
+    MultiIndex,
+    Product,
+    Real,
+    Restricted,
+    Sum,
+    Variable,
+)
+from ufl.core.base_form_operator import BaseFormOperator
+from ufl.corealg.traversal import unique_post_traversal
+
+from dolfinx import fem
+from fenicsmpm.forms.errors import UnsupportedFormError
+from fenicsmpm.forms.slots import Layout
+from fenicsmpm.points.point_field import PointField
+
+# The pointwise form lives on an interval that is only an excuse to compile it: with coordinates
+# 0 and 1 its Jacobian is one.
+_INTERVAL = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
+_ONE_POINT = {
+    "quadrature_rule": "custom",
+    "quadrature_points": np.array([[0.5]]),
+    "quadrature_weights": np.array([1.0]),
+}
+
+# Geometry with a value at each point ...
+POINT_GEOMETRY = ("SpatialCoordinate", "Jacobian", "JacobianInverse", "JacobianDeterminant")
+# ... and with one in each cell.
+CELL_GEOMETRY = (
+    "CellVolume",
+    "Circumradius",
+    "CellDiameter",
+    "MinCellEdgeLength",
+    "MaxCellEdgeLength",
+)
+
+
+@dataclass
+class Source:
+    """One argument, coefficient, constant or geometric quantity and its slots in use.
+
+    Attributes:
+        item: the UFL object.
+        placeholder: vector that stands for all its slots during lowering.
+        layout: of its space, None where slots are plain components.
+        used: slot numbers that the form needs (set at the end of lowering).
+    """
+
+    item: Any
+    placeholder: Any
+    layout: Layout | None
+    size: int
+    used: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+@dataclass
+class PointwiseForm:
+    """A lowered integrand.
+
+    Attributes:
+        form: UFL form for FFCx; its arguments are (trial slots, test slots), that order.
+        arguments: test and trial sources, in the order of argument numbers.
+        inputs: all other sources; their used slots, one after the other, are the input vector.
+    """
+
+    form: ufl.Form
+    arguments: list[Source]
+    inputs: list[Source]
+
+    @property
+    def n_inputs(self) -> int:
+        """Length of the input vector of the kernel."""
+        return sum(len(source.used) for source in self.inputs)
+
+
+def lower(integrand: Any, mesh: Any) -> PointwiseForm:
+    """Lower the integrand of an integral over material points.
+
+    Args:
+        integrand: scalar UFL expression.
+        mesh: dolfinx mesh on which the points live.
+
+    Raises:
+        UnsupportedFormError: names the part of the integrand that has no meaning over points.
+    """
+    lowering = _Lowering(mesh)
+    # expand_derivatives works on forms, whatever the measure
+    form = expand_derivatives(integrand * ufl.Measure("dx", domain=mesh.ufl_domain()))
+    integrals = form.integrals()
+    expression = ufl.as_ufl(sum(lowering.rewrite(i.integrand()) for i in integrals))
+    return lowering.finish(expand_indices(expression))
+
+
+class _Lowering:
+    """State of one lowering: the sources found so far and the memo of rewritten nodes."""
+
+    def __init__(self, mesh: Any) -> None:
+        self.mesh = mesh
+        self.dim = mesh.geometry.dim
+        self.sources: dict[Any, Source] = {}
+        self.memo: dict[Any, Any] = {}
+
+    # --- rewriting ---------------------------------------------------------------------------
+
+    def rewrite(self, expression: Any) -> Any:
+        """Replace all point-dependent parts of an expression with slots."""
+        for node in unique_post_traversal(expression):
+            if node not in self.memo:
+                self.memo[node] = self._rewrite_node(node)
+        return self.memo[expression]
+
+    def _rewrite_node(self, node: Any) -> Any:
+        if isinstance(node, Restricted):
+            raise UnsupportedFormError(
+                f"restriction to a facet's side over material points: {node}. "
+                "Use dS for integrals over facets."
+            )
+        if isinstance(node, ComplexValue | Imag):
+            raise UnsupportedFormError(f"complex number over material points: {node}")
+        if isinstance(node, FacetAvg):
+            raise UnsupportedFormError(f"facet average over material points: {node}")
+        if isinstance(node, BaseFormOperator):
+            raise UnsupportedFormError(
+                f"operator without a lowering over material points: {node}. "
+                "Evaluate it first and put the values into a PointField."
+            )
+        if isinstance(node, Grad):
+            return self._differentiated(node, average=False)
+        if isinstance(node, CellAvg):
+            return self._average(node.ufl_operands[0])
+        if isinstance(node, Conj | Real | Variable):
+            return self.memo[node.ufl_operands[0]]
+        if node._ufl_is_terminal_:
+            return self._terminal(node, (), average=False)
+        operands = [self.memo.get(o, o) for o in node.ufl_operands]
+        if all(a is b for a, b in zip(operands, node.ufl_operands, strict=True)):
+            return node
+        return node._ufl_expr_reconstruct_(*operands)
+
+    def _differentiated(self, node: Any, average: bool) -> Any:
+        """Slots of grad(grad(...f)) with a terminal f."""
+        depth = 0
+        terminal = node
+        while isinstance(terminal, Grad):
+            terminal = terminal.ufl_operands[0]
+            depth += 1
+        if isinstance(terminal, PointField):
+            raise UnsupportedFormError(
+                f"gradient of a field that exists at points only: {node}. "
+                "Project it onto a function space first."
+            )
+        if not isinstance(terminal, ufl.Argument | Coefficient):
+            raise UnsupportedFormError(f"gradient over material points: {node}")
+        if depth > 2:
+            raise UnsupportedFormError(
+                f"derivative of order {depth} over material points: {node}. "
+                "Values, gradients and second gradients are supported."
+            )
+        return self._terminal(terminal, (self.dim,) * depth, average)
+
+    def _average(self, node: Any) -> Any:
+        """Average of an expression over the points of a group, by linearity."""
+        if isinstance(node, Grad):
+            return self._differentiated(node, average=True)
+        if isinstance(node, Variable | Conj | Real | CellAvg):
+            # a CellAvg inside: the average of an average is the average
+            return self._average(node.ufl_operands[0])
+        if node._ufl_is_terminal_:
+            return self._terminal(node, (), average=True)
+        operands = node.ufl_operands
+        if isinstance(node, Sum | ListTensor):
+            return node._ufl_expr_reconstruct_(*[self._average(o) for o in operands])
+        if isinstance(node, Indexed | ComponentTensor | IndexSum):
+            return node._ufl_expr_reconstruct_(self._average(operands[0]), operands[1])
+        if isinstance(node, Product):
+            a, b = operands
+            if _is_uniform(a):
+                return a * self._average(b)
+            if _is_uniform(b):
+                return self._average(a) * b
+        if isinstance(node, Division) and _is_uniform(operands[1]):
+            return self._average(operands[0]) / operands[1]
+        raise UnsupportedFormError(
+            f"cell_avg of a nonlinear expression over material points: {node}. Average its "
+            "linear parts, or evaluate the expression into a PointField first."
+        )
+
+    # --- terminals ---------------------------------------------------------------------------
+
+    def _terminal(self, item: Any, derivative: tuple[int, ...], average: bool) -> Any:
+        name = type(item).__name__
+        if isinstance(item, ufl.Argument | Coefficient) and not isinstance(item, PointField):
+            return self._grid_function(item, derivative, average)
+        if isinstance(item, PointField):
+            if item.points.mesh.ufl_domain() is not self.mesh.ufl_domain():
+                raise UnsupportedFormError(f"point field of points on another mesh: {item}")
+            return self._plain(item, item.ufl_shape, average)
+        if isinstance(item, ufl.Constant):
+            if not isinstance(item, fem.Constant):
+                raise UnsupportedFormError(f"constant without a value: {item}. Use fem.Constant.")
+            return self._plain(item, item.ufl_shape, average=False)
+        if isinstance(item, GeometricQuantity):
+            if name in POINT_GEOMETRY:
+                return self._plain(item, item.ufl_shape, average)
+            if name in CELL_GEOMETRY:
+                return self._plain(item, item.ufl_shape, average=False)
+            raise UnsupportedFormError(
+                f"{name} over material points: {item}. Available are "
+                f"{', '.join(POINT_GEOMETRY + CELL_GEOMETRY)}."
+            )
+        return item  # literals, multi-indices, labels
+
+    def _grid_function(self, item: Any, derivative: tuple[int, ...], average: bool) -> Any:
+        space = item.ufl_function_space()
+        if isinstance(item, ufl.Argument) and item.part() is not None:
+            raise UnsupportedFormError(f"argument of a MixedFunctionSpace: {item}")
+        if space.ufl_domain() is not self.mesh.ufl_domain():
+            raise UnsupportedFormError(
+                f"function on another mesh than the points': {item} in {space}. "
+                "Define the space on the points' background mesh."
+            )
+        if isinstance(item, Coefficient) and not isinstance(item, fem.Function):
+            raise UnsupportedFormError(f"coefficient without values: {item}. Use fem.Function.")
+        source = self.sources.get(item)
+        if source is None:
+            layout = Layout(space.ufl_element(), self.dim)
+            source = self._add(item, layout, layout.n_slots)
+        layout = source.layout
+        assert layout is not None
+        order = len(derivative)
+        components = np.empty((layout.n_components, *derivative), dtype=object)
+        for index in np.ndindex(components.shape):
+            leaf = layout.component_leaf[index[0]]
+            if order > leaf.element.degree and _is_simplex(leaf.element):
+                components[index] = ufl.as_ufl(0.0)
+            else:
+                slot = layout.slot(index[0], index[1:], average)
+                components[index] = source.placeholder[slot]
+        shape = item.ufl_shape + derivative
+        return _as_tensor(components.reshape(shape))
+
+    def _plain(self, item: Any, shape: tuple[int, ...], average: bool) -> Any:
+        """Slots without grid functions: the components, and after them their averages."""
+        size = int(np.prod(shape, dtype=int))
+        source = self.sources.get(item) or self._add(item, None, 2 * size)
+        components = np.array(
+            [source.placeholder[int(average) * size + k] for k in range(size)] + [None],
+            dtype=object,
+        )[:-1]
+        return _as_tensor(components.reshape(shape))
+
+    def _add(self, item: Any, layout: Layout | None, size: int) -> Source:
+        if isinstance(item, ufl.Argument):
+            placeholder: Any = _slot_argument(size, item.number())
+        else:
+            placeholder = ufl.Constant(_INTERVAL, shape=(size,))
+        self.sources[item] = Source(item, placeholder, layout, size)
+        return self.sources[item]
+
+    # --- compression -------------------------------------------------------------------------
+
+    def finish(self, expression: Any) -> PointwiseForm:
+        """Drop the slots that the expression does not use and build the form for FFCx."""
+        by_placeholder = {source.placeholder: source for source in self.sources.values()}
+        found: dict[Any, set[int]] = {p: set() for p in by_placeholder}
+        nodes = list(unique_post_traversal(expression))
+        for node in nodes:
+            if isinstance(node, Indexed) and node.ufl_operands[0] in found:
+                found[node.ufl_operands[0]].add(int(node.ufl_operands[1][0]))
+        for placeholder, source in by_placeholder.items():
+            source.used = np.array(sorted(found[placeholder]), dtype=np.int64)
+        arguments = sorted(
+            (s for s in self.sources.values() if isinstance(s.item, ufl.Argument)),
+            key=lambda s: s.item.number(),
+        )
+        inputs = [
+            s
+            for s in self.sources.values()
+            if not isinstance(s.item, ufl.Argument) and len(s.used) > 0
+        ]
+        replacement: dict[Any, tuple[Any, dict[int, int]]] = {}
+        for source in arguments:
+            # FFCx numbers rows by argument 0: trial slots first gives D transposed, which the
+            # assembly contracts with unit stride
+            number = len(arguments) - 1 - source.item.number()
+            vector = _slot_argument(len(source.used), number)
+            replacement[source.placeholder] = (vector, _positions(source.used, 0))
+        n_inputs = sum(len(s.used) for s in inputs)
+        vector = ufl.Constant(_INTERVAL, shape=(max(n_inputs, 1),))
+        offset = 0
+        for source in inputs:
+            replacement[source.placeholder] = (vector, _positions(source.used, offset))
+            offset += len(source.used)
+        memo: dict[Any, Any] = {}
+        for node in nodes:
+            if isinstance(node, Indexed) and node.ufl_operands[0] in replacement:
+                target, position = replacement[node.ufl_operands[0]]
+                k = FixedIndex(position[int(node.ufl_operands[1][0])])
+                memo[node] = Indexed(target, MultiIndex((k,)))
+            elif node._ufl_is_terminal_:
+                memo[node] = node
+            else:
+                memo[node] = node._ufl_expr_reconstruct_(*[memo[o] for o in node.ufl_operands])
+        measure = ufl.Measure("dx", domain=_INTERVAL, metadata=_ONE_POINT)
+        return PointwiseForm(memo[expression] * measure, arguments, inputs)
+
+
+def _positions(used: npt.NDArray[np.int64], offset: int) -> dict[int, int]:
+    return {int(slot): offset + k for k, slot in enumerate(used)}
+
+
+def _slot_argument(size: int, number: int) -> ufl.Argument:
+    element = basix.ufl.element("DG", "interval", 0, shape=(max(size, 1),))
+    return ufl.Argument(ufl.FunctionSpace(_INTERVAL, element), number)
+
+
+def _as_tensor(components: npt.NDArray[np.object_]) -> Any:
+    if components.shape == ():
+        return components.item()
+    return ufl.as_tensor(components.tolist())
+
+
+def _is_simplex(element: Any) -> bool:
+    return element.cell_type.name in ("interval", "triangle", "tetrahedron")
+
+
+def _is_uniform(expression: Any) -> bool:
+    """Whether an expression has the same value at all points of a group."""
+    return all(
+        isinstance(t, ufl.Constant | ufl.classes.ConstantValue | MultiIndex)
+        or type(t).__name__ in CELL_GEOMETRY
+        for t in unique_post_traversal(expression)
+        if t._ufl_is_terminal_
+    )
