@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""Which cells may contain a point: a uniform grid of bins over the bounding boxes of the cells.
+
+Also serves meshes that are lattices of equal boxes: there the bins are the cells.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+# How far, in units of a bin, a point on a lattice plane may be off by round-off.
+_SLACK = 1e-8
+
+
+class Bins(NamedTuple):
+    """Bins and the cells in each of them, in a form that numba understands.
+
+    Attributes:
+        origin: Lower corner of the first bin, shape (d,), in m.
+        inverse_size: Bins per metre, shape (d,).
+        shape: Number of bins in each direction, shape (d,), int64.
+        slack: A point is looked up in all bins within this distance, in units of a bin.
+        offsets: Cells of bin b are cells[offsets[b]:offsets[b + 1]], int64.
+        cells: Local cells, int32.
+    """
+
+    origin: npt.NDArray[np.float64]
+    inverse_size: npt.NDArray[np.float64]
+    shape: npt.NDArray[np.int64]
+    slack: float
+    offsets: npt.NDArray[np.int64]
+    cells: npt.NDArray[np.int32]
+
+
+def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> Bins:
+    """Bins about as large as the cells.
+
+    Args:
+        lower: Lower corners of the cells' bounding boxes, tolerance included, shape (cells, d).
+        upper: Upper corners.
+    """
+    n, d = lower.shape
+    if n == 0:
+        none = np.zeros(0, dtype=np.int32)
+        return Bins(
+            np.zeros(d), np.ones(d), np.zeros(d, np.int64), 0.0, np.zeros(1, np.int64), none
+        )
+    size = np.mean(upper - lower, axis=0)
+    extent = upper.max(axis=0) - lower.min(axis=0)
+    # Few cells in a large box (a graded mesh, bodies far apart) must not cost much memory.
+    size *= max(1.0, np.prod(extent / size) / (4.0 * n + 1000.0)) ** (1.0 / d)
+    # Off the planes of regular meshes, where a cell would touch three bins a direction, not two.
+    origin = lower.min(axis=0) - 0.37 * size
+    shape = np.floor((upper.max(axis=0) - origin) / size).astype(np.int64) + 1
+    first = np.floor((lower - origin) / size).astype(np.int64)
+    last = np.minimum(np.floor((upper - origin) / size).astype(np.int64), shape - 1)
+    offsets, cells = _fill(first, last, shape)
+    return Bins(origin, 1.0 / size, shape, 0.0, offsets, cells)
+
+
+def lattice_bins(coefficients: npt.NDArray[np.float64]) -> Bins | None:
+    """Bins that are the cells themselves, for a lattice of equal axis-parallel boxes.
+
+    Args:
+        coefficients: Of the cell maps, shape (cells, 2**d, d).
+
+    Returns:
+        The bins, or None if the mesh is not such a lattice. Holes are allowed.
+    """
+    n, count, d = coefficients.shape
+    if n == 0 or count != 2**d:
+        return None
+    axes = coefficients[:, 1 : d + 1]
+    size = np.abs(axes[0]).max(axis=0)
+    small = _SLACK * 0.1 * size
+    box = np.abs(axes)
+    parallel = np.all(np.sort(box, axis=1)[:, :-1] <= small)
+    equal = np.all(np.abs(box.max(axis=1) - size) <= small)
+    if not parallel or not equal or np.any(np.abs(coefficients[:, d + 1 :]) > small):
+        return None
+    lower = coefficients[:, 0] + np.minimum(axes, 0.0).sum(axis=1)
+    origin = lower.min(axis=0)
+    steps = (lower - origin) / size
+    index = np.rint(steps).astype(np.int64)
+    shape = index.max(axis=0) + 1
+    if np.any(np.abs(steps - index) > 0.1 * _SLACK) or np.prod(shape) > 8 * n + 1000:
+        return None
+    offsets, cells = _fill(index, index, shape)
+    return Bins(origin, 1.0 / size, shape, _SLACK, offsets, cells)
+
+
+@numba.njit(cache=True)
+def _fill(first, last, shape):  # type: ignore[no-untyped-def]
+    """CSR lists of the cells in each bin, from the first and last bin index of each cell."""
+    n, d = first.shape
+    bins = 1
+    for i in range(d):
+        bins *= shape[i]
+    ny = shape[1]
+    nz = shape[2] if d == 3 else 1
+    offsets = np.zeros(bins + 1, dtype=np.int64)
+    cells = np.empty(0, dtype=np.int32)
+    for fill in range(2):
+        if fill:
+            offsets[1:] = np.cumsum(offsets[1:])
+            cells = np.empty(offsets[-1], dtype=np.int32)
+            position = offsets[:-1].copy()
+        for c in range(n):
+            k0 = first[c, 2] if d == 3 else 0
+            k1 = last[c, 2] if d == 3 else 0
+            for i in range(first[c, 0], last[c, 0] + 1):
+                for j in range(first[c, 1], last[c, 1] + 1):
+                    for k in range(k0, k1 + 1):
+                        b = (i * ny + j) * nz + k
+                        if fill:
+                            cells[position[b]] = c
+                            position[b] += 1
+                        else:
+                            offsets[b + 1] += 1
+    return offsets, cells

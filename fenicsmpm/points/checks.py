@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""Checks of what users pass. They return an error, as all ranks have to raise it together."""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from fenicsmpm.points.location import Locator
+
+Checked = tuple[ValueError | None, dict[str, npt.NDArray]]
+
+
+def check_positions(
+    x: npt.ArrayLike, dim: int, count: int | None = None
+) -> tuple[ValueError | None, npt.NDArray[np.float64]]:
+    """A copy of positions (n, dim) in float64, checked to be finite and, if asked, `count` rows."""
+    try:
+        positions = np.array(x, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as e:
+        return ValueError(f"positions of points must be numbers: {e}"), np.zeros((0, dim))
+    if positions.ndim != 2 or positions.shape[1] != dim:
+        return ValueError(f"positions need the shape (n, {dim}), not {positions.shape}"), positions
+    if count is not None and len(positions) != count:
+        return ValueError(f"{len(positions)} positions for {count} points"), positions
+    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    if len(bad):
+        return ValueError(
+            f"positions must be finite: {len(bad)} of {len(positions)} are not, first point "
+            f"{bad[0]} at {positions[bad[0]]}"
+        ), positions
+    return None, positions
+
+
+def check_input(
+    locator: Locator,
+    x: npt.ArrayLike,
+    weight: npt.ArrayLike,
+    cells: npt.ArrayLike | None,
+    xi: npt.ArrayLike | None,
+    tag: npt.ArrayLike,
+    fields: Mapping[str, npt.ArrayLike] | None,
+    reserved: Iterable[str],
+) -> Checked:
+    """Check and copy what points are made of, see `MaterialPoints`."""
+    error, positions = check_positions(x, locator.geometry.dim)
+    data: dict[str, npt.NDArray] = {"x": positions}
+    if error:
+        return error, data
+    n = len(positions)
+    try:
+        data["weight"] = _column("weight", weight, n, np.float64)
+        data["tag"] = _column("tag", tag, n, np.int32)
+        _check_weight(data["weight"])
+        if cells is not None:
+            data["cell"] = _column("cells", cells, n, np.int32)
+            _check_cells(data["cell"], locator.geometry.num_cells, -1 if xi is None else 0)
+        if xi is not None:
+            if cells is None:
+                raise ValueError("reference coordinates xi need the cells they belong to")
+            data["xi"] = np.array(xi, dtype=np.float64, order="C")
+            _check_reference(locator, data)
+        for name, value in (fields or {}).items():
+            if name in reserved:
+                raise ValueError(f"'{name}' cannot be the name of a field: every point has it")
+            data[name] = np.array(value, dtype=np.float64, order="C")
+            if data[name].shape[:1] != (n,):
+                raise ValueError(
+                    f"field '{name}' of shape {data[name].shape} for {n} points: the point index "
+                    "comes first"
+                )
+    except ValueError as e:
+        return e, data
+    return None, data
+
+
+def check_fields(comm: MPI.Comm, data: Mapping[str, npt.NDArray]) -> ValueError | None:
+    """Whether all ranks have the same fields. Collective."""
+    mine = {name: a.shape[1:] for name, a in data.items()}
+    first = comm.bcast(mine)
+    if mine != first or list(mine) != list(first):
+        return ValueError(
+            f"arrays and value shapes of points on rank {comm.rank} are {mine}, on rank 0 {first}: "
+            "pass the same on all ranks (arrays of no rows where there are no points)"
+        )
+    return None
+
+
+def check_selection(
+    which: npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
+    x: npt.NDArray[np.float64],
+) -> tuple[ValueError | None, npt.NDArray[np.bool_]]:
+    """Mask of the points given by a mask, indices, or a function from positions to a mask."""
+    n = len(x)
+    mask = np.zeros(n, dtype=bool)
+    given = np.asarray(which(x) if callable(which) else which)
+    if given.dtype == bool and given.shape == (n,):
+        return None, given
+    if callable(which) or given.dtype == bool:
+        return ValueError(
+            f"a mask of points needs shape ({n},) and bool values, not {given.shape} and "
+            f"{given.dtype}"
+        ), mask
+    if given.size == 0:
+        return None, mask
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        return ValueError(f"neither mask nor indices of points: {given.dtype} {given.shape}"), mask
+    if given.min() < 0 or given.max() >= n:
+        return ValueError(
+            f"indices of points must be 0 to {n - 1}, not {given.min()} to {given.max()}"
+        ), mask
+    mask[given] = True
+    return None, mask
+
+
+def _column(name: str, value: npt.ArrayLike, n: int, dtype: type) -> npt.NDArray:
+    given = np.asarray(value)
+    if given.shape not in ((), (n,)):
+        raise ValueError(f"{name} of shape {given.shape} for {n} points: needs ({n},)")
+    column = np.empty(n, dtype=dtype)
+    column[...] = given
+    return column
+
+
+def _check_weight(weight: npt.NDArray[np.float64]) -> None:
+    bad = np.flatnonzero(~((weight > 0.0) & np.isfinite(weight)))
+    if len(bad):
+        raise ValueError(
+            f"weights must be positive and finite: {len(bad)} of {len(weight)} are not, first "
+            f"{weight[bad[0]]} at point {bad[0]}"
+        )
+
+
+def _check_cells(cell: npt.NDArray[np.int32], num_cells: int, lowest: int) -> None:
+    bad = np.flatnonzero((cell < lowest) | (cell >= num_cells))
+    if len(bad):
+        raise ValueError(
+            f"local cells must be {lowest} to {num_cells - 1}: {len(bad)} are not, first "
+            f"{cell[bad[0]]} at point {bad[0]}"
+        )
+
+
+def _check_reference(locator: Locator, data: Mapping[str, npt.NDArray]) -> None:
+    x, xi, cell = data["x"], data["xi"], data["cell"]
+    if xi.shape != x.shape:
+        raise ValueError(f"xi of shape {xi.shape} for positions of shape {x.shape}")
+    bad = np.flatnonzero(~locator.agrees(x, xi, cell))
+    if len(bad):
+        raise ValueError(
+            f"xi and cells do not give the positions: {len(bad)} of {len(x)}, first point {bad[0]} "
+            f"at {x[bad[0]]}; leave xi out to have the points located"
+        )

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""The map from the reference cell to the cells of a mesh with straight edges, for all cells."""
+
+import weakref
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import CellType, Mesh
+
+from fenicsmpm import _compat
+
+_CELLS = {
+    CellType.triangle: (basix.CellType.triangle, 2),
+    CellType.tetrahedron: (basix.CellType.tetrahedron, 3),
+    CellType.quadrilateral: (basix.CellType.quadrilateral, 2),
+    CellType.hexahedron: (basix.CellType.hexahedron, 3),
+}
+
+
+def monomials(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
+    """The functions in which the cell map is expanded: 1, xi, eta, (zeta), and their products.
+
+    Args:
+        xi: Reference coordinates, shape (n, d).
+        count: d + 1 (simplex), 4 (quadrilateral) or 8 (hexahedron).
+
+    Returns:
+        Values, shape (n, count).
+    """
+    columns = [np.ones(len(xi)), *xi.T]
+    if count > len(columns):
+        products = [(0, 1)] if xi.shape[1] == 2 else [(0, 1), (0, 2), (1, 2), (0, 1, 2)]
+        columns += [np.prod(xi[:, p], axis=1) for p in products]
+    return np.stack(columns, axis=1)
+
+
+def monomial_gradients(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
+    """Gradients of `monomials`, shape (n, count, d)."""
+    n, d = xi.shape
+    gradients = np.zeros((n, count, d))
+    for k in range(d):
+        gradients[:, 1 + k, k] = 1.0
+    if count == 4 and d == 2:
+        gradients[:, 3] = xi[:, ::-1]
+    if count == 8:
+        a, b, c = xi.T
+        zero = np.zeros(n)
+        gradients[:, 4] = np.stack([b, a, zero], axis=1)
+        gradients[:, 5] = np.stack([c, zero, a], axis=1)
+        gradients[:, 6] = np.stack([zero, c, b], axis=1)
+        gradients[:, 7] = np.stack([b * c, a * c, a * b], axis=1)
+    return gradients
+
+
+class CellGeometry:
+    """Shapes of the cells (owned and ghosts) of a mesh, as arrays.
+
+    Attributes:
+        cell: basix cell type.
+        dim: Topological and geometrical dimension d, 2 or 3.
+        corners: Vertices of the cells in m, shape (cells, vertices, d).
+        coefficients: x = sum_k coefficients[c, k] * monomial_k(xi), shape (cells, k, d), in m.
+        num_owned: Number of cells that this rank owns; cells from there on are ghosts.
+        first_global: Global index of this rank's cell 0.
+        global_index: Global index of each cell (owned and ghosts), int64.
+        key: Number of each cell, unique over the mesh: its index in the mesh as it was input where
+            dolfinx knows that (the same on any number of ranks), else its global index. int64.
+    """
+
+    def __init__(self, mesh: Mesh):
+        """Copy what is needed from a mesh; no reference to the mesh is kept.
+
+        Raises:
+            ValueError: For meshes other than straight triangles, tetrahedra, quadrilaterals and
+                hexahedra that fill their space.
+        """
+        topology, geometry = mesh.topology, mesh.geometry
+        if (
+            topology.cell_type not in _CELLS
+            or _CELLS[topology.cell_type][1] != geometry.dim
+            or geometry.cmap.degree != 1
+            or geometry.x.dtype != np.float64
+        ):
+            raise ValueError(
+                f"a mesh of unsupported cells: {topology.cell_type.name} of degree "
+                f"{geometry.cmap.degree} in {geometry.dim} dimensions, {geometry.x.dtype}; material "
+                "points need straight triangles or quadrilaterals in 2, tetrahedra or hexahedra "
+                "in 3 dimensions, in float64"
+            )
+        self.cell, self.dim = _CELLS[topology.cell_type]
+        self.corners = geometry.x[_compat.geometry_dofmap(mesh)][:, :, : self.dim]
+        self.coefficients = _expand(self.corners)
+
+        cells = topology.index_map(self.dim)
+        self.num_owned = cells.size_local
+        self.first_global = cells.local_range[0]
+        local = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
+        self.global_index = cells.local_to_global(local)
+        try:
+            self.key = np.asarray(topology.original_cell_index, dtype=np.int64)
+        except RuntimeError:  # meshes made from other meshes do not have it
+            self.key = self.global_index
+
+    @property
+    def num_cells(self) -> int:
+        """Number of owned and ghost cells."""
+        return len(self.coefficients)
+
+    def push_forward(
+        self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Positions in m of points with reference coordinates `xi` (n, d) in `cells` (n,)."""
+        phi = monomials(xi, self.coefficients.shape[1])
+        return np.einsum("pk,pkd->pd", phi, self.coefficients[cells])
+
+    def determinant(
+        self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """|det dx/dxi| at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        gradients = monomial_gradients(xi, self.coefficients.shape[1])
+        jacobian = np.einsum("pkj,pki->pij", gradients, self.coefficients[cells])
+        return np.abs(np.linalg.det(jacobian))
+
+    def volume(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """Volumes of `cells` in m^d, exact up to round-off."""
+        # det dx/dxi is at most quadratic in each coordinate (hexahedra).
+        points, weights = basix.make_quadrature(self.cell, 2)
+        det = self.determinant(np.repeat(cells, len(weights)), np.tile(points, (len(cells), 1)))
+        return det.reshape(len(cells), -1) @ weights
+
+
+def _expand(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Coefficients of the cell map in `monomials` from the vertices (cells, vertices, d)."""
+    a = np.moveaxis(corners, 1, 0)
+    if len(a) == corners.shape[2] + 1:
+        columns = [a[0], *(a[1:] - a[0])]
+    elif len(a) == 4:
+        columns = [a[0], a[1] - a[0], a[2] - a[0], (a[3] - a[2]) - (a[1] - a[0])]
+    else:
+        x, y, z = a[1] - a[0], a[2] - a[0], a[4] - a[0]
+        xy, xz, yz = a[3] - a[2] - x, a[5] - a[4] - x, a[6] - a[4] - y
+        xyz = (a[7] - a[6]) - (a[5] - a[4]) - xy
+        columns = [a[0], x, y, z, xy, xz, yz, xyz]
+    return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+_cache: "weakref.WeakKeyDictionary[Mesh, CellGeometry]" = weakref.WeakKeyDictionary()
+
+
+def cell_geometry(mesh: Mesh) -> CellGeometry:
+    """The geometry of a mesh, computed once: background meshes do not move."""
+    if mesh not in _cache:
+        _cache[mesh] = CellGeometry(mesh)
+    return _cache[mesh]

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: MIT
+"""Point to cell and reference coordinates, in the part of a mesh that one rank sees.
+
+A point is first looked for from the cell it was in: on simplices by a walk over neighbours towards
+the most negative barycentric coordinate, on other cells in that cell only. What is not found so is
+looked for in the bins (`fenicsmpm.points.bins`), which are the cells on regular lattices.
+
+A point on a facet, edge or vertex belongs to the containing cell of lowest number (index in the
+mesh as it was input). That does not depend on where the walk starts, and not on the number of ranks
+except where that cell is not visible to the rank.
+"""
+
+import weakref
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.bins import Bins, lattice_bins, make_bins
+from fenicsmpm.points.geometry import CellGeometry, cell_geometry, monomial_gradients
+from fenicsmpm.points.pullback import reference_point
+
+# Points outside a cell by less than this part of its size are in it.
+_TOLERANCE = 1e-12
+# A walk of more cells costs more than the bins.
+_MAX_STEPS = 20
+
+
+class _Cells(NamedTuple):
+    """What the search needs to know of the cells."""
+
+    coefficients: npt.NDArray[np.float64]
+    inverse: npt.NDArray[np.float64]
+    tolerance: npt.NDArray[np.float64]
+    lower: npt.NDArray[np.float64]
+    upper: npt.NDArray[np.float64]
+    key: npt.NDArray[np.int64]
+    neighbours: npt.NDArray[np.int32]
+
+
+class Locator:
+    """Finds points in the cells (owned and ghosts) of one rank.
+
+    Attributes:
+        geometry: Shapes of the cells.
+        is_lattice: Whether the cells are equal axis-parallel boxes on a lattice.
+    """
+
+    def __init__(self, mesh: Mesh):
+        """Build the tables; no reference to the mesh is kept. Collective.
+
+        Raises:
+            ValueError: For a mesh of unsupported cells.
+        """
+        self.geometry = cell_geometry(mesh)
+        a, corners, d = self.geometry.coefficients, self.geometry.corners, self.geometry.dim
+        centre = np.full((len(a), d), 0.5 if a.shape[1] == 2**d else 1.0 / (d + 1))
+        jacobian = np.einsum("ckj,cki->cij", monomial_gradients(centre, a.shape[1]), a)
+        flat = np.flatnonzero(np.linalg.det(jacobian) == 0.0)
+        raise_together(mesh.comm, _flat_cells(flat, corners) if len(flat) else None)
+        inverse = np.linalg.inv(jacobian)
+        # Coordinates carry round-off relative to their own size, not to that of the cell.
+        scale = np.abs(inverse).sum(axis=2).max(axis=1) * np.abs(corners).max(axis=(1, 2))
+        tolerance = _TOLERANCE + 16 * np.finfo(float).eps * scale
+        lower, upper = corners.min(axis=1), corners.max(axis=1)
+        margin = 4 * (tolerance * (upper - lower).max(axis=1))[:, None]
+        lower, upper = lower - margin, upper + margin
+        self._cells = _Cells(
+            a, inverse, tolerance, lower, upper, self.geometry.key, _neighbours(mesh)
+        )
+        lattice = lattice_bins(a)
+        self.is_lattice = lattice is not None
+        self._bins = lattice if lattice is not None else make_bins(lower, upper)
+
+    def locate(
+        self, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32] | None = None
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+        """Find the cells of points among those of this rank. Not collective.
+
+        Args:
+            x: Positions in m, finite, shape (n, d).
+            cells: Local cells (owned or ghost) to start from, -1 for nothing known, shape (n,).
+
+        Returns:
+            Local cells, shape (n,), int32, -1 where no cell of this rank contains the point; and
+            reference coordinates, shape (n, d), which reproduce x up to round-off.
+        """
+        cell = np.full(len(x), -1, dtype=np.int32) if cells is None else cells.astype(np.int32)
+        xi = np.zeros_like(x)
+        if self.geometry.num_cells:
+            _locate(self._cells, self._bins, x, cell, xi)
+        else:
+            cell[:] = -1
+        return cell, xi
+
+    def pull_back(
+        self, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
+    ) -> npt.NDArray[np.float64]:
+        """Reference coordinates (n, d) of points x (n, d) in given cells (n,) that contain them."""
+        xi = np.zeros_like(x)
+        _pull_back(self._cells, x, cells, xi)
+        return xi
+
+    def agrees(
+        self,
+        x: npt.NDArray[np.float64],
+        xi: npt.NDArray[np.float64],
+        cells: npt.NDArray[np.int32],
+    ) -> npt.NDArray[np.bool_]:
+        """Whether reference coordinates xi (n, d) in cells (n,) give the points x (n, d)."""
+        if not len(x):
+            return np.zeros(0, dtype=bool)
+        slack = 1e3 * self._cells.tolerance[cells]
+        size = (self._cells.upper[cells] - self._cells.lower[cells]).max(axis=1)
+        distance = np.abs(self.geometry.push_forward(cells, xi) - x).max(axis=1)
+        simplex = self.geometry.coefficients.shape[1] == self.geometry.dim + 1
+        highest = xi.sum(axis=1) if simplex else xi.max(axis=1)
+        inside = (xi.min(axis=1) >= -slack) & (highest <= 1.0 + slack)
+        return inside & (distance <= slack * size)
+
+
+_cache: "weakref.WeakKeyDictionary[Mesh, Locator]" = weakref.WeakKeyDictionary()
+
+
+def locator(mesh: Mesh) -> Locator:
+    """The locator of a mesh, built once: background meshes do not move. Collective at first."""
+    if mesh not in _cache:
+        _cache[mesh] = Locator(mesh)
+    return _cache[mesh]
+
+
+def _flat_cells(flat: npt.NDArray[np.intp], corners: npt.NDArray[np.float64]) -> ValueError:
+    return ValueError(
+        f"a mesh with {len(flat)} cells of zero volume, first with vertices "
+        f"{corners[flat[0]].tolist()}: remove them from the mesh"
+    )
+
+
+def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
+    """Cell behind the facet opposite to each vertex, -1 for none; shape (cells, d + 1).
+
+    Empty for cells other than simplices.
+    """
+    topology = mesh.topology
+    d = topology.dim
+    geometry: CellGeometry = cell_geometry(mesh)
+    if geometry.coefficients.shape[1] != d + 1:
+        return np.zeros((0, 0), dtype=np.int32)
+    topology.create_entities(d - 1)
+    topology.create_connectivity(d - 1, d)
+    topology.create_connectivity(d, d - 1)
+    facets = topology.connectivity(d, d - 1).array.reshape(-1, d + 1)
+    to_cells = topology.connectivity(d - 1, d)
+    first = to_cells.offsets[:-1]
+    inner = np.diff(to_cells.offsets) == 2
+    both = np.full(len(first), -1, dtype=np.int64)
+    both[inner] = to_cells.array[first[inner]] + to_cells.array[first[inner] + 1].astype(np.int64)
+    own = np.arange(len(facets))[:, None]
+    return np.where(inner[facets], both[facets] - own, -1).astype(np.int32)
+
+
+@numba.njit(cache=True)
+def _pull_back(cells: _Cells, x, cell, xi):  # type: ignore[no-untyped-def]
+    for p in range(len(x)):
+        reference_point(cells.coefficients, cells.inverse, cell[p], x, p, xi[p])
+
+
+@numba.njit(cache=True)
+def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-def]
+    """Overwrite the hints in `cell` by the cells found, and `xi`."""
+    n, d = x.shape
+    simplex = cells.coefficients.shape[1] == d + 1
+    scratch = np.empty(d)
+    for p in range(n):
+        c = cell[p]
+        cell[p] = -1
+        for _ in range(_MAX_STEPS):
+            if c < 0:
+                break
+            margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
+            if margin > cells.tolerance[c]:
+                cell[p] = c
+                for i in range(d):
+                    xi[p, i] = scratch[i]
+                break
+            if margin >= -cells.tolerance[c] or not simplex:
+                break  # on a facet: other cells may contain it too
+            worst = 0
+            for i in range(d):
+                if scratch[i] == margin:
+                    worst = i + 1
+            c = cells.neighbours[c, worst]
+        if cell[p] < 0:
+            cell[p] = _search(cells, bins, x, p, scratch, xi)
+
+
+@numba.njit(cache=True)
+def _search(cells: _Cells, bins: Bins, x, p, scratch, xi):  # type: ignore[no-untyped-def]
+    """The cell that contains x[p] inside, else the one of lowest key that touches it, else -1."""
+    d = x.shape[1]
+    best = -1
+    i0, i1 = _bin_range(bins, x, p, 0)
+    j0, j1 = _bin_range(bins, x, p, 1)
+    k0, k1 = _bin_range(bins, x, p, 2) if d == 3 else (0, 0)
+    for i in range(i0, i1 + 1):
+        for j in range(j0, j1 + 1):
+            for k in range(k0, k1 + 1):
+                b = i * bins.shape[1] + j
+                if d == 3:
+                    b = b * bins.shape[2] + k
+                for m in range(bins.offsets[b], bins.offsets[b + 1]):
+                    c = bins.cells[m]
+                    if not _in_box(cells, x, p, c):
+                        continue
+                    margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
+                    inside = margin > cells.tolerance[c]
+                    if inside or (
+                        margin >= -cells.tolerance[c]
+                        and (best < 0 or cells.key[c] < cells.key[best])
+                    ):
+                        best = c
+                        for q in range(d):
+                            xi[p, q] = scratch[q]
+                    if inside:
+                        return best
+    return best
+
+
+@numba.njit(cache=True)
+def _bin_range(bins: Bins, x, p, i):  # type: ignore[no-untyped-def]
+    """First and last bin of x[p] in direction i; empty if the point is outside of all bins."""
+    t = (x[p, i] - bins.origin[i]) * bins.inverse_size[i]
+    last = bins.shape[i] - 1
+    if t + bins.slack < 0.0 or t - bins.slack > last + 1.0:
+        return 0, -1
+    return max(int(t - bins.slack), 0), min(int(t + bins.slack), last)
+
+
+@numba.njit(cache=True)
+def _in_box(cells: _Cells, x, p, c):  # type: ignore[no-untyped-def]
+    for i in range(x.shape[1]):
+        if x[p, i] < cells.lower[c, i] or x[p, i] > cells.upper[c, i]:
+            return False
+    return True

@@ -1,0 +1,385 @@
+# SPDX-License-Identifier: MIT
+"""Material points: named arrays with one row a point, distributed like the cells of a mesh."""
+
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.checks import check_fields, check_input, check_positions, check_selection
+from fenicsmpm.points.location import locator
+from fenicsmpm.points.migration import exchange, find_cells, owners
+from fenicsmpm.points.sorting import sort_by_cell
+
+Selection: TypeAlias = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+
+# The arrays that every set of points has; all others are the user's fields.
+_BUILT_IN = ("x", "weight", "xi", "cell", "id", "tag")
+# Changing these by hand would contradict the cells found for the points.
+_READ_ONLY = ("x", "xi", "cell", "id")
+
+
+class MaterialPoints:
+    """Points that carry the material (or a load) through a background mesh.
+
+    Every point is on the rank that owns the cell it lies in. Arrays have the point index first.
+
+    Attributes:
+        mesh: The background mesh, which does not move.
+        version: Grows whenever positions, cells, order or number of the points change.
+        size_global: Number of points on all ranks.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        x: npt.ArrayLike,
+        weight: npt.ArrayLike,
+        *,
+        cells: npt.ArrayLike | None = None,
+        xi: npt.ArrayLike | None = None,
+        tag: npt.ArrayLike = 0,
+        fields: Mapping[str, npt.ArrayLike] | None = None,
+    ):
+        """Create points at given positions. Collective.
+
+        Each rank passes any points it likes (also none): they are sent to the ranks that own their
+        cells. Point ids are numbered as passed, rank after rank.
+
+        Args:
+            mesh: Background mesh of straight triangles, quadrilaterals, tetrahedra or hexahedra.
+            x: Positions in m, shape (n, d).
+            weight: Volume (per unit thickness in 2D) of body points in m^d, area or length of
+                boundary points in m^(d-1); shape (n,) or one number.
+            cells: Local cell near or around each point from which its location starts, -1 for
+                unknown, shape (n,).
+            xi: Reference coordinates in `cells`, shape (n, d), if they are known: then `cells` are
+                the cells of the points, and nothing is located.
+            tag: Integers to tell groups of points apart, shape (n,) or one number.
+            fields: Initial fields, arrays of shape (n, *value_shape); same names and value shapes
+                on all ranks.
+
+        Raises:
+            ValueError: On all ranks, for meshes of unsupported cells, wrong shapes, weights that
+                are not positive and finite, and positions that are not finite.
+            PointsOutsideError: On all ranks, if some point is in no cell of the mesh.
+        """
+        self.mesh = mesh
+        self._locator = locator(mesh)
+        error, data = check_input(self._locator, x, weight, cells, xi, tag, fields, _BUILT_IN)
+        raise_together(self._comm, error)
+        raise_together(self._comm, check_fields(self._comm, data))
+
+        n = len(data["x"])
+        self.version = 0
+        self.size_global = self._comm.allreduce(n)
+        self._next_id = self.size_global
+        data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
+        if "xi" in data:
+            global_cell = self._locator.geometry.global_index[data["cell"]]
+        else:
+            global_cell, data["cell"], data["xi"] = find_cells(
+                self._comm, self._locator, data["x"], data.get("cell")
+            )
+        names = [*_BUILT_IN, *(name for name in data if name not in _BUILT_IN)]
+        self._data = {name: data[name] for name in names}
+        self._settle(global_cell)
+
+    @property
+    def _comm(self) -> MPI.Comm:
+        return self.mesh.comm
+
+    # --- arrays ---------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        """Number of points on this rank."""
+        return len(self._data["x"])
+
+    @property
+    def x(self) -> npt.NDArray[np.float64]:
+        """Positions in m, shape (n, d), read-only: see `move`."""
+        return self["x"]
+
+    @property
+    def xi(self) -> npt.NDArray[np.float64]:
+        """Reference coordinates in the cell, shape (n, d), read-only."""
+        return self["xi"]
+
+    @property
+    def cell(self) -> npt.NDArray[np.int32]:
+        """Local cell (owned by this rank) of each point, shape (n,), int32, read-only."""
+        return self["cell"]
+
+    @property
+    def id(self) -> npt.NDArray[np.int64]:
+        """Permanent number of each point, unique over all ranks, shape (n,), int64, read-only."""
+        return self["id"]
+
+    @property
+    def weight(self) -> npt.NDArray[np.float64]:
+        """Volume, area or length of each point in m^d or m^(d-1), shape (n,)."""
+        return self["weight"]
+
+    @property
+    def tag(self) -> npt.NDArray[np.int32]:
+        """Group of each point, shape (n,), int32."""
+        return self["tag"]
+
+    @property
+    def field_names(self) -> tuple[str, ...]:
+        """Names of the user's fields, in the order in which they were added."""
+        return tuple(name for name in self._data if name not in _BUILT_IN)
+
+    def field_shape(self, name: str) -> tuple[int, ...]:
+        """Shape of a field's value at one point.
+
+        Raises:
+            KeyError: If there is no such field.
+        """
+        return self[name].shape[1:]
+
+    def add_field(
+        self, name: str, shape: tuple[int, ...] = (), value: npt.ArrayLike = 0.0
+    ) -> npt.NDArray[np.float64]:
+        """Add a field of float64 values.
+
+        Args:
+            name: Name of the field, the same on all ranks.
+            shape: Shape of the value at one point.
+            value: Initial value, of shape `shape` or (n, *shape).
+
+        Returns:
+            The new array, shape (n, *shape).
+
+        Raises:
+            ValueError: If the name is taken, or the value has another shape.
+        """
+        if name in self:
+            raise ValueError(f"there is already a field '{name}': assign to points['{name}']")
+        array = np.empty((len(self), *shape))
+        _assign(name, array, value)
+        self._data[name] = array
+        return array
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a field or built-in array of this name."""
+        return name in self._data
+
+    def __getitem__(self, name: str) -> npt.NDArray:
+        """The array of a field itself, shape (n, *value_shape); no copy.
+
+        Hold no such array across `move`, `add`, `remove` or `sort`: they may replace it.
+        """
+        if name not in self._data:
+            raise KeyError(f"no field '{name}' at the points; there are {', '.join(self._data)}")
+        array = self._data[name]
+        if name in _READ_ONLY:
+            array = array.view()
+            array.flags.writeable = False
+        return array
+
+    def __setitem__(self, name: str, value: npt.ArrayLike) -> None:
+        """Fill the array of an existing field with a value of shape (n, *shape) or (*shape)."""
+        if name in _READ_ONLY:
+            raise ValueError(f"'{name}' cannot be assigned: positions are changed by move()")
+        _assign(name, self[name], value)
+
+    # --- integration ----------------------------------------------------------------------------
+
+    @property
+    def dx(self) -> ufl.Measure:
+        """The measure of integrals over the points; `dx(i)` is over those with tag i."""
+        return ufl.Measure("dx", domain=self.mesh.ufl_domain(), subdomain_data=self)
+
+    @property
+    def volume(self) -> float:
+        """Sum of the weights over all ranks, in m^d or m^(d-1). Collective."""
+        return self._comm.allreduce(float(self._data["weight"].sum()))
+
+    @property
+    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Lowest and highest coordinates in m over all ranks, each of shape (d,). Collective.
+
+        Without any points they are plus and minus infinity.
+        """
+        x = self._data["x"]
+        lower, upper = np.empty((2, x.shape[1]))
+        self._comm.Allreduce(x.min(axis=0, initial=np.inf), lower, MPI.MIN)
+        self._comm.Allreduce(x.max(axis=0, initial=-np.inf), upper, MPI.MAX)
+        return lower, upper
+
+    # --- order ----------------------------------------------------------------------------------
+
+    @property
+    def order(self) -> npt.NDArray[np.int64]:
+        """Permutation (n,), int64, that sorts the points by cell; stable."""
+        return self._sorted()[0]
+
+    @property
+    def cell_offsets(self) -> npt.NDArray[np.int64]:
+        """Points of local cell c are `order[cell_offsets[c]:cell_offsets[c + 1]]`.
+
+        Shape (owned + ghost cells + 1,), int64.
+        """
+        return self._sorted()[1]
+
+    def _sorted(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        if self._order is None:
+            self._order = sort_by_cell(self._data["cell"], self._locator.geometry.num_cells)
+        return self._order
+
+    def sort(self) -> None:
+        """Store the points by cell, so that loops over cells run through memory in order."""
+        self._replace(self._rows(self.order))
+
+    # --- changes --------------------------------------------------------------------------------
+
+    def move(self, x: npt.ArrayLike) -> None:
+        """Set new positions and find the new cells, starting from the old ones. Collective.
+
+        Points that enter a cell of another rank are sent there with their fields. If an error is
+        raised, the points are as before.
+
+        Args:
+            x: New positions in m, shape (n, d).
+
+        Raises:
+            ValueError: On all ranks, for wrong shapes and positions that are not finite.
+            PointsOutsideError: On all ranks, if some position is in no cell of the mesh.
+        """
+        error, positions = check_positions(x, self._data["x"].shape[1], len(self))
+        raise_together(self._comm, error)
+        global_cell, cell, xi = find_cells(self._comm, self._locator, positions, self._data["cell"])
+        self._data.update(x=positions, cell=cell, xi=xi)
+        self._settle(global_cell)
+
+    def add(self, other: "MaterialPoints") -> None:
+        """Add copies of other points. They get new ids. Collective.
+
+        Args:
+            other: Points on the same mesh with the same fields.
+
+        Raises:
+            ValueError: If meshes or fields differ.
+        """
+        if other.mesh is not self.mesh:
+            raise ValueError(
+                "points on another mesh cannot be added: put them on this one with from_mesh first"
+            )
+        mine = {name: self.field_shape(name) for name in self.field_names}
+        theirs = {name: other.field_shape(name) for name in other.field_names}
+        if mine != theirs:
+            raise ValueError(
+                f"points with fields {theirs} cannot be added to points with fields {mine}: "
+                "add_field what is missing"
+            )
+        n = len(other)
+        ids = self._next_id + (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
+        new = {**other._data, "id": ids}
+        self._next_id += other.size_global
+        self.size_global += other.size_global
+        self._replace({name: np.concatenate([a, new[name]]) for name, a in self._data.items()})
+
+    def remove(self, which: Selection) -> int:
+        """Remove points. Collective.
+
+        Args:
+            which: Mask (n,), indices, or a function from positions (n, d) to a mask, on this rank.
+
+        Returns:
+            How many were removed on all ranks.
+
+        Raises:
+            ValueError: On all ranks, if `which` is neither mask nor indices of these points.
+        """
+        keep = ~self._mask(which)
+        before = self.size_global
+        self.size_global = self._comm.allreduce(int(keep.sum()))
+        self._replace(self._rows(keep))
+        return before - self.size_global
+
+    def select(self, which: Selection) -> "MaterialPoints":
+        """A copy of some of the points, with their ids, tags and fields. Collective.
+
+        Args:
+            which: As for `remove`.
+
+        Raises:
+            ValueError: As for `remove`.
+        """
+        mask = self._mask(which)
+        result = object.__new__(MaterialPoints)
+        result.__dict__.update(self.__dict__)
+        result.size_global = self._comm.allreduce(int(mask.sum()))
+        result._replace(self._rows(mask))
+        return result
+
+    def copy(self) -> "MaterialPoints":
+        """An independent copy on the same mesh."""
+        result = object.__new__(MaterialPoints)
+        result.__dict__.update(self.__dict__)
+        result._data = {name: a.copy() for name, a in self._data.items()}
+        return result
+
+    def _mask(self, which: Selection) -> npt.NDArray[np.bool_]:
+        error, mask = check_selection(which, self["x"])
+        raise_together(self._comm, error)
+        return mask
+
+    def _rows(self, which: npt.NDArray) -> dict[str, npt.NDArray]:
+        return {name: a[which] for name, a in self._data.items()}
+
+    def _replace(self, data: dict[str, npt.NDArray]) -> None:
+        self._data = data
+        self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
+        self.version += 1
+
+    def _settle(self, global_cell: npt.NDArray[np.int64]) -> None:
+        """Send the points that lie in cells of other ranks there. Collective."""
+        geometry, data = self._locator.geometry, self._data
+        stays = (data["cell"] >= 0) & (data["cell"] < geometry.num_owned)
+        leaving = np.flatnonzero(~stays)
+        if self._comm.allreduce(len(leaving)):
+            sent = {name: a[leaving] for name, a in data.items()}
+            sent["global_cell"] = global_cell[leaving]
+            to = owners(self._comm, self._locator, sent["global_cell"])
+            new = exchange(self._comm, to, sent)
+            new["cell"] = (new.pop("global_cell") - geometry.first_global).astype(np.int32)
+            new["xi"] = self._locator.pull_back(new["x"], new["cell"])
+            data = {name: np.concatenate([a[stays], new[name]]) for name, a in data.items()}
+        self._replace(data)
+
+    # --- what it says ---------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        """Numbers of this rank (printing on one rank only must not wait for the others)."""
+        where = f" on rank {self._comm.rank} of {self._comm.size}" if self._comm.size > 1 else ""
+        head = f"MaterialPoints: {len(self)} of {self.size_global} points{where}"
+        if len(self):
+            count = np.diff(self.cell_offsets)
+            count = count[count > 0]
+            x, fields = self._data["x"], ", ".join(self.field_names) or "none"
+            lower, upper = (np.array2string(b, precision=6) for b in (x.min(0), x.max(0)))
+            head += (
+                f" in {len(count)} of {self._locator.geometry.num_owned} cells, a filled cell has "
+                f"{count.min()} to {count.max()}, {count.mean():.3g} on average\n"
+                f"  total weight {self._data['weight'].sum():.6g}, bounds {lower} to {upper}, "
+                f"fields: {fields}"
+            )
+        return head
+
+
+def _assign(name: str, array: npt.NDArray, value: npt.ArrayLike) -> None:
+    """Fill a field, telling values a point from one value for all."""
+    given = np.asarray(value)
+    if given.shape not in (array.shape, array.shape[1:], ()):
+        raise ValueError(
+            f"field '{name}' needs a value of shape {array.shape[1:]} or values of shape "
+            f"{array.shape}, not {given.shape}"
+        )
+    array[...] = given

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""MPI: a point lives on the rank that owns its cell."""
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from fenicsmpm.points.location import Locator
+
+_TAG = 4703
+
+
+class PointsOutsideError(ValueError):
+    """Points that lie in no cell of the background mesh on any rank.
+
+    Attributes:
+        count: How many, over all ranks.
+        total: Number of points that were located, over all ranks.
+        indices: Which of this rank's points, int64.
+        positions: Their positions in m, shape (len(indices), d).
+    """
+
+    def __init__(
+        self,
+        count: int,
+        total: int,
+        first: npt.NDArray[np.float64],
+        indices: npt.NDArray[np.int64],
+        positions: npt.NDArray[np.float64],
+    ):
+        where = ", ".join(f"{v:.6g}" for v in first)
+        super().__init__(
+            f"points outside the background mesh: {count} of {total}, first at ({where}); "
+            "enlarge the mesh, shorten the step or remove the points"
+        )
+        self.count = count
+        self.total = total
+        self.indices = indices
+        self.positions = positions
+
+
+def find_cells(
+    comm: MPI.Comm,
+    locator: Locator,
+    x: npt.NDArray[np.float64],
+    hint: npt.NDArray[np.int32] | None,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+    """Find the cells of points on all ranks. Collective.
+
+    Args:
+        comm: Communicator of the mesh.
+        locator: Of this rank's part of the mesh.
+        x: This rank's points in m, shape (n, d).
+        hint: Local cells to start from, shape (n,), or None.
+
+    Returns:
+        Global cells, shape (n,); the local cells, shape (n,), -1 where the cell is not on this
+        rank; and reference coordinates (n, d) where it is.
+
+    Raises:
+        PointsOutsideError: On all ranks, if some point is in no cell of the mesh.
+    """
+    cell, xi = locator.locate(x, hint)
+    missing = np.flatnonzero(cell < 0)
+    global_cell = np.full(len(x), -1, dtype=np.int64)
+    found = cell >= 0
+    global_cell[found] = locator.geometry.global_index[cell[found]]
+    # Nothing more to do in most time steps: one reduction of one number.
+    if comm.allreduce(len(missing)):
+        global_cell[missing] = _find_elsewhere(comm, locator, x[missing])
+        outside = np.flatnonzero(global_cell < 0)
+        _raise_outside(comm, len(x), outside, x[outside])
+    return global_cell, cell, xi
+
+
+def _find_elsewhere(
+    comm: MPI.Comm, locator: Locator, x: npt.NDArray[np.float64]
+) -> npt.NDArray[np.int64]:
+    """Global cells of points that may be on any rank, -1 for those on none. Collective."""
+    start = comm.exscan(len(x)) or 0
+    everything = np.concatenate(comm.allgather(x))
+    geometry = locator.geometry
+    cell, _ = locator.locate(everything)
+    mine = np.flatnonzero((cell >= 0) & (cell < geometry.num_owned))
+    # Several ranks may own a cell that touches the point: the lowest number wins here too.
+    nobody = np.iinfo(np.int64).max
+    key = np.full(len(everything), nobody, dtype=np.int64)
+    key[mine] = geometry.key[cell[mine]]
+    lowest = np.empty_like(key)
+    comm.Allreduce(key, lowest, MPI.MIN)
+    won = mine[key[mine] == lowest[mine]]
+    claim = np.full(len(everything), -1, dtype=np.int64)
+    claim[won] = geometry.global_index[cell[won]]
+    result = np.empty_like(claim)
+    comm.Allreduce(claim, result, MPI.MAX)
+    return result[start : start + len(x)]
+
+
+def _raise_outside(
+    comm: MPI.Comm,
+    total: int,
+    indices: npt.NDArray[np.int64],
+    positions: npt.NDArray[np.float64],
+) -> None:
+    count = comm.allreduce(len(indices))
+    if count:
+        total = comm.allreduce(total)
+        firsts = comm.allgather(positions[0] if len(positions) else None)
+        first = next(f for f in firsts if f is not None)
+        raise PointsOutsideError(count, total, first, indices, positions)
+
+
+def owners(
+    comm: MPI.Comm, locator: Locator, global_cell: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int32]:
+    """Ranks that own the given global cells, shape (n,). Collective."""
+    starts = np.array(comm.allgather(locator.geometry.first_global))
+    return (np.searchsorted(starts, global_cell, side="right") - 1).astype(np.int32)
+
+
+def exchange(
+    comm: MPI.Comm, destination: npt.NDArray[np.int32], arrays: dict[str, npt.NDArray]
+) -> dict[str, npt.NDArray]:
+    """Send rows of arrays to other ranks, in one buffer for each destination. Collective.
+
+    Args:
+        comm: Communicator.
+        destination: Rank that each row goes to, shape (n,).
+        arrays: Arrays of n rows each; the same names, types and row shapes in the same order on
+            all ranks.
+
+    Returns:
+        Arrays of the same names of the rows received, ordered by sending rank, then as sent.
+    """
+    record = np.dtype([(name, a.dtype, a.shape[1:]) for name, a in arrays.items()])
+    order = np.argsort(destination, kind="stable")
+    packed = np.empty(len(destination), dtype=record)
+    for name, a in arrays.items():
+        packed[name] = a[order]
+    send = np.bincount(destination, minlength=comm.size).astype(np.int64)
+    receive = np.empty_like(send)
+    comm.Alltoall(send, receive)
+    received = np.empty(receive.sum(), dtype=record)
+
+    # Few ranks are neighbours: messages only between those that have something to say.
+    row = MPI.BYTE.Create_contiguous(record.itemsize).Commit()
+    requests = []
+    ends = np.cumsum(receive)
+    for rank in np.flatnonzero(receive):
+        part = received[ends[rank] - receive[rank] : ends[rank]]
+        requests.append(comm.Irecv([part.view(np.uint8), len(part), row], rank, _TAG))
+    ends = np.cumsum(send)
+    for rank in np.flatnonzero(send):
+        part = packed[ends[rank] - send[rank] : ends[rank]]
+        requests.append(comm.Isend([part.view(np.uint8), len(part), row], rank, _TAG))
+    MPI.Request.Waitall(requests)
+    row.Free()
+    return {name: np.ascontiguousarray(received[name]) for name in arrays}
