@@ -3,9 +3,10 @@
 
 from collections.abc import Callable, Iterable, Mapping
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
 from fenicsmpm.points.location import Locator
 
@@ -118,7 +119,7 @@ def _column(name: str, value: npt.ArrayLike, n: int, dtype: type) -> npt.NDArray
     given = np.asarray(value)
     if given.shape not in ((), (n,)):
         raise ValueError(f"{name} of shape {given.shape} for {n} points: needs ({n},)")
-    column = np.empty(n, dtype=dtype)
+    column: npt.NDArray = np.empty(n, dtype=dtype)
     column[...] = given
     return column
 

@@ -84,9 +84,9 @@ class CellGeometry:
         ):
             raise ValueError(
                 f"a mesh of unsupported cells: {topology.cell_type.name} of degree "
-                f"{geometry.cmap.degree} in {geometry.dim} dimensions, {geometry.x.dtype}; material "
-                "points need straight triangles or quadrilaterals in 2, tetrahedra or hexahedra "
-                "in 3 dimensions, in float64"
+                f"{geometry.cmap.degree} in {geometry.dim} dimensions, {geometry.x.dtype}; "
+                "material points need straight triangles or quadrilaterals in 2, tetrahedra or "
+                "hexahedra in 3 dimensions, in float64"
             )
         self.cell, self.dim = _CELLS[topology.cell_type]
         self.corners = geometry.x[_compat.geometry_dofmap(mesh)][:, :, : self.dim]

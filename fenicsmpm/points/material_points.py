@@ -4,11 +4,12 @@
 from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx.mesh import Mesh
-from mpi4py import MPI
 
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.checks import check_fields, check_input, check_positions, check_selection
@@ -77,6 +78,7 @@ class MaterialPoints:
 
         n = len(data["x"])
         self.version = 0
+        self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)
         self._next_id = self.size_global
         data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
@@ -336,7 +338,7 @@ class MaterialPoints:
 
     def _replace(self, data: dict[str, npt.NDArray]) -> None:
         self._data = data
-        self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
+        self._order = None
         self.version += 1
 
     def _settle(self, global_cell: npt.NDArray[np.int64]) -> None:

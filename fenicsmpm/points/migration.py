@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """MPI: a point lives on the rank that owns its cell."""
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 
 from fenicsmpm.points.location import Locator
 
@@ -28,6 +29,7 @@ class PointsOutsideError(ValueError):
         indices: npt.NDArray[np.int64],
         positions: npt.NDArray[np.float64],
     ):
+        """Compose the message; `first` is the position of the first such point of all ranks."""
         where = ", ".join(f"{v:.6g}" for v in first)
         super().__init__(
             f"points outside the background mesh: {count} of {total}, first at ({where}); "

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""Time to find the cells of points: from a cell nearby, and from nothing.
+
+Run: python benchmarks/location.py [--points 1000000] [--cells-per-side 26] [--repeat 5]
+"""
+
+import argparse
+import platform
+import statistics
+import subprocess
+import time
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx.mesh import CellType, create_unit_cube
+
+from fenicsmpm import __version__
+from fenicsmpm.points.location import Locator
+
+
+def commit() -> str:
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return f"unknown (version {__version__})"
+
+
+def processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+def seconds(call, repeat):
+    call()  # compiles
+    times = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def near(x, size, rng):
+    """Positions less than two cells away, still in the unit cube."""
+    moved = x + size * rng.uniform(-2.0, 2.0, x.shape) / np.sqrt(3.0)
+    return np.abs(np.where(moved > 1.0, 2.0 - moved, moved))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=int, default=1_000_000)
+    parser.add_argument("--cells-per-side", type=int, default=26)
+    parser.add_argument("--repeat", type=int, default=5)
+    args = parser.parse_args()
+
+    print(f"{platform.node()}, {processor()}, commit {commit()}, one core")
+    print(f"{args.points} points in the unit cube, median of {args.repeat}")
+    n = args.cells_per_side
+    for kind in (CellType.tetrahedron, CellType.hexahedron):
+        mesh = create_unit_cube(MPI.COMM_SELF, n, n, n, kind)
+        start = time.perf_counter()
+        locator = Locator(mesh)
+        build = time.perf_counter() - start
+        rng = np.random.default_rng(1)
+        old = rng.random((args.points, 3))
+        cells, _ = locator.locate(old)
+        new = near(old, 1.0 / n, rng)
+        order = np.argsort(cells, kind="stable")
+        cases = {
+            "from nothing": lambda: locator.locate(new),
+            "within two cells": lambda: locator.locate(new, cells),
+            "within two cells, points sorted by cell": lambda: locator.locate(
+                new[order], cells[order]
+            ),
+        }
+        print(f"{len(mesh.geometry.dofmap)} cells ({kind.name}), tables built in {build:.2f} s")
+        for name, call in cases.items():
+            print(f"  {name:40s} {seconds(call, args.repeat):8.3f} s")
+
+
+if __name__ == "__main__":
+    main()
