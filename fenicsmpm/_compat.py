@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from dolfinx import fem, jit
+from dolfinx import fem, jit, la
 
 
 def compile_form(comm: Any, form: ufl.Form, jit_options: dict[str, Any]) -> tuple[Any, Any]:
@@ -70,3 +70,21 @@ def bc_set(
 def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
     """Cell to geometry node map ``(n_cells, n_nodes)`` of a mesh with one cell type."""
     return mesh.geometry.dofmap
+
+
+def is_on(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
+    """Whether a Dirichlet condition constrains (a component of) a function space."""
+    space = getattr(bc, "function_space", None) or bc._cpp_object.function_space
+    space = getattr(space, "_cpp_object", space)
+    return V._cpp_object.contains(space)
+
+
+def assemble_ordinary_matrix(A: la.MatrixCSR, a: fem.Form, bcs: list[fem.DirichletBC]) -> None:
+    """Add a dolfinx form to a matrix, constrained rows and columns left out, no diagonal set."""
+    fem.assemble_matrix(A, a, bcs, 0.0)
+
+
+def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """Reference points at which a function space wants expressions evaluated."""
+    points = V.element.interpolation_points
+    return points() if callable(points) else points

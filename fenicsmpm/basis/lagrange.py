@@ -52,6 +52,12 @@ class LagrangeStencil:
         """``(n_cells + 1,)`` range of the points of each local cell within ``order``."""
         return self.points.cell_offsets
 
+    @property
+    def n_owned_groups(self) -> int:
+        """Number of cells owned by this rank."""
+        topology = self.points.mesh.topology
+        return topology.index_map(topology.dim).size_local
+
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
         """``(n_cells, n_nodes)`` cell dofmap of a function space (blocks)."""
         return space.dofmap.list

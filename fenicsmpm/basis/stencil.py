@@ -25,6 +25,10 @@ class PointStencil(Protocol):
     def offsets(self) -> npt.NDArray[np.int64]:
         """``(n_groups + 1,)`` range of the points of each group within ``order``."""
 
+    @property
+    def n_owned_groups(self) -> int:
+        """Number of groups that can hold points of this rank; they come first."""
+
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
         """``(n_groups, n_nodes)`` local blocks of a function space seen by each group."""
 

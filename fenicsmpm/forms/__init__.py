@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: MIT
+"""UFL forms over material points."""
+
+from fenicsmpm.forms.assembly import (
+    apply_lifting,
+    assemble_matrix,
+    assemble_scalar,
+    assemble_vector,
+    create_matrix,
+    inactive_dofs,
+)
+from fenicsmpm.forms.errors import UnsupportedFormError
+from fenicsmpm.forms.form import Form, form
+
+__all__ = [
+    "Form",
+    "UnsupportedFormError",
+    "apply_lifting",
+    "assemble_matrix",
+    "assemble_scalar",
+    "assemble_vector",
+    "create_matrix",
+    "form",
+    "inactive_dofs",
+]

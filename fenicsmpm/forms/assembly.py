@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: MIT
+"""Assembly of forms over points into scalars, dolfinx vectors and MatrixCSR.
+
+The functions follow their namesakes in ``dolfinx.fem``: contributions to ghost entries stay where
+they are until the caller scatters them, except where said.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinx import cpp, fem, la
+from fenicsmpm import _compat
+from fenicsmpm.forms import loops
+from fenicsmpm.forms.form import Form
+from fenicsmpm.forms.integral import PointIntegral
+
+_Array = npt.NDArray[np.float64]
+# CSR positions of the element matrices, for each matrix, while the selected groups stay the same
+_positions: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
+_positions = weakref.WeakKeyDictionary()
+
+
+def _check(compiled: Form, rank: int) -> None:
+    if not isinstance(compiled, Form):
+        raise TypeError(
+            f"a form compiled by fenicsmpm.forms.form is needed, not {type(compiled).__name__}"
+        )
+    if compiled.rank != rank:
+        raise ValueError(f"a form of rank {rank} is needed, not {compiled!r}")
+
+
+def assemble_scalar(M: Form) -> float:
+    """Integrate a form of rank 0.
+
+    Args:
+        M: the compiled form.
+
+    Returns:
+        The integral over all ranks (unlike dolfinx', which leaves the sum to the caller).
+    """
+    _check(M, 0)
+    local = fem.assemble_scalar(M.ordinary) if M.ordinary is not None else 0.0
+    for integral in M.point_integrals:
+        local += sum(float(np.sum(values)) for _, values in integral.element_tensors())
+    comm = M.point_integrals[0].points.mesh.comm if M.point_integrals else M.ordinary.mesh.comm
+    return comm.allreduce(local, MPI.SUM)
+
+
+def assemble_vector(L: Form, b: la.Vector | None = None) -> la.Vector:
+    """Assemble a form of rank 1.
+
+    Args:
+        L: the compiled form.
+        b: vector to add to; None for a new one.
+
+    Returns:
+        The vector; its ghost entries are not yet sent to their owners (``b.scatter_reverse``).
+    """
+    _check(L, 1)
+    if b is None:
+        dofmap = L.function_spaces[0].dofmap
+        b = la.vector(dofmap.index_map, dofmap.index_map_bs)
+        b.array[:] = 0.0
+    add_to_array(b.array, L)
+    return b
+
+
+def add_to_array(b: _Array, L: Form) -> None:
+    """Add a form of rank 1 to the local array of a vector, ghosts included."""
+    if L.ordinary is not None:
+        fem.assemble_vector(b, L.ordinary)
+    for integral in L.point_integrals:
+        dofs = integral.dofs(integral.lowered.arguments[0], L.function_spaces[0])
+        for groups, vectors in integral.element_tensors():
+            loops.add_vectors(vectors, dofs, integral.groups[groups], b)
+
+
+def create_matrix(a: Form) -> la.MatrixCSR:
+    """Create a matrix for a form of rank 2, block size one.
+
+    The pattern has room for points in any cell, so the points may move.
+
+    Args:
+        a: the compiled form.
+    """
+    _check(a, 2)
+    maps = [V.dofmap.index_map for V in a.function_spaces]
+    sizes = [V.dofmap.index_map_bs for V in a.function_spaces]
+    if a.ordinary is not None:
+        pattern = fem.create_sparsity_pattern(a.ordinary)
+    else:
+        pattern = cpp.la.SparsityPattern(a.mesh.comm, maps, sizes)
+    for stencil in {type(i.stencil): i.stencil for i in a.point_integrals}.values():
+        rows, columns = (stencil.dofs(V) for V in a.function_spaces)
+        for group in range(stencil.n_owned_groups):
+            pattern.insert(rows[group], columns[group])
+    if _is_square(a):
+        pattern.insert_diagonal(np.arange(maps[0].size_local, dtype=np.int32))
+    pattern.finalize()
+    return la.matrix_csr(pattern, cpp.la.BlockMode.expanded)
+
+
+def assemble_matrix(
+    a: Form,
+    bcs: Sequence[fem.DirichletBC] = (),
+    diag: float = 1.0,
+    A: la.MatrixCSR | None = None,
+) -> la.MatrixCSR:
+    """Assemble a form of rank 2.
+
+    Rows and columns of constrained degrees of freedom are left out and get ``diag`` on the
+    diagonal. Degrees of freedom that no integral reaches, because there is no point near them,
+    get a row of the identity, so the matrix can be factorized.
+
+    Args:
+        a: the compiled form.
+        bcs: Dirichlet conditions.
+        diag: diagonal entry of constrained degrees of freedom.
+        A: matrix to overwrite, from ``create_matrix``; None for a new one.
+
+    Returns:
+        The matrix, ghost rows already sent to their owners.
+    """
+    _check(a, 2)
+    A = create_matrix(a) if A is None else A
+    A.set_value(0.0)
+    fixed = [_marks(V, bcs) for V in a.function_spaces]
+    if a.ordinary is not None:
+        _compat.assemble_ordinary_matrix(A, a.ordinary, list(bcs))
+    reached = _reached_by_values(A) if a.ordinary is not None else None
+    for integral in a.point_integrals:
+        sources = integral.lowered.arguments
+        dofs = [integral.dofs(s, V) for s, V in zip(sources, a.function_spaces, strict=True)]
+        for groups, matrices in integral.element_tensors():
+            positions = _csr_positions(A, integral, dofs)[groups]
+            selected = integral.groups[groups]
+            loops.add_matrices(matrices, *dofs, selected, positions, *fixed, A.data)
+    A.scatter_reverse()
+    if _is_square(a):
+        owned = A.index_map(0).size_local
+        diagonal = _diagonal_positions(A)
+        A.data[diagonal[_inactive_marks(a, reached)[:owned]]] = 1.0
+        A.data[diagonal[fixed[0][:owned] > 0]] = diag
+    return A
+
+
+def inactive_dofs(a: Form) -> npt.NDArray[np.int32]:
+    """Degrees of freedom of the test space without a point (or other integral) near them.
+
+    Args:
+        a: compiled form of rank 1 or 2 (of a linear form, integrals over the mesh are not seen).
+
+    Returns:
+        Owned local indices, unrolled.
+    """
+    reached = None
+    if a.ordinary is not None and a.rank == 2:
+        A = create_matrix(a)
+        _compat.assemble_ordinary_matrix(A, a.ordinary, [])
+        reached = _reached_by_values(A)
+    V = a.function_spaces[0]
+    owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    return np.flatnonzero(_inactive_marks(a, reached)[:owned]).astype(np.int32)
+
+
+def apply_lifting(
+    b: _Array,
+    a: Sequence[Form],
+    bcs: Sequence[Sequence[fem.DirichletBC]],
+    x0: Sequence[_Array] | None = None,
+    alpha: float = 1.0,
+) -> None:
+    """Subtract ``alpha * A (g - x0)`` from a vector, for the constrained columns of each A.
+
+    Args:
+        b: local array of the vector, ghosts included; scatter it afterwards.
+        a: compiled forms of rank 2.
+        bcs: Dirichlet conditions on the trial space of each form.
+        x0: local arrays of the current solutions, ghosts included.
+        alpha: factor.
+    """
+    for k, form in enumerate(a):
+        _check(form, 2)
+        V = form.function_spaces[1]
+        fixed = _marks(V, bcs[k])
+        if not form.mesh.comm.allreduce(bool(fixed.any()), MPI.LOR):
+            continue
+        values = np.zeros(len(fixed))
+        for bc in bcs[k]:
+            if _compat.is_on(bc, V):
+                _compat.bc_set(bc, values, None if x0 is None else x0[k], alpha)
+        if form.ordinary is not None:
+            # dolfinx wants all ghost values of x0; it computes g - x0 itself
+            fem.apply_lifting(
+                b, [form.ordinary], [list(bcs[k])], None if x0 is None else [x0[k]], alpha
+            )
+        for integral in form.point_integrals:
+            sources = integral.lowered.arguments
+            dofs = [integral.dofs(s, W) for s, W in zip(sources, form.function_spaces, strict=True)]
+            for groups, matrices in integral.element_tensors():
+                loops.lift(matrices, *dofs, integral.groups[groups], fixed, values, b)
+
+
+def _is_square(a: Form) -> bool:
+    return a.function_spaces[0] == a.function_spaces[1]
+
+
+def _marks(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.uint8]:
+    """``(n_dofs,)`` 1 for the constrained local degrees of freedom, ghosts included."""
+    size = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
+    marks = np.zeros(size * V.dofmap.index_map_bs, dtype=np.uint8)
+    for bc in bcs:
+        if _compat.is_on(bc, V):
+            marks[_compat.bc_dofs(bc)] = 1
+    return marks
+
+
+def _reached_by_values(A: la.MatrixCSR) -> npt.NDArray[np.bool_]:
+    """``(n_rows,)`` whether a local row, ghosts included, has an entry that is not zero."""
+    counts = np.concatenate([[0], np.cumsum(A.data != 0.0)])
+    return np.diff(counts[A.indptr]) > 0
+
+
+def _inactive_marks(a: Form, reached: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.bool_]:
+    V = a.function_spaces[0]
+    active = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
+    active.array[:] = 0.0 if reached is None else reached
+    for integral in a.point_integrals:
+        integral.refresh()
+        dofs = integral.dofs(integral.lowered.arguments[0], V)
+        active.array[dofs[integral.groups]] = 1.0
+    active.scatter_reverse(la.InsertMode.add)
+    active.scatter_forward()
+    return active.array == 0.0
+
+
+def _diagonal_positions(A: la.MatrixCSR) -> npt.NDArray[np.int64]:
+    """``(n_owned,)`` positions of the diagonal entries of the owned rows."""
+    owned = A.index_map(0).size_local
+    rows = np.repeat(np.arange(owned), np.diff(A.indptr[: owned + 1]))
+    return np.flatnonzero(A.indices[: len(rows)] == rows)
+
+
+def _csr_positions(
+    A: la.MatrixCSR, integral: PointIntegral, dofs: list[npt.NDArray[np.int32]]
+) -> npt.NDArray[np.int32]:
+    """``(n_groups, n_local0, n_local1)`` positions for the groups with points."""
+    cached = _positions.setdefault(A, weakref.WeakKeyDictionary())
+    groups, positions = cached.get(integral, (None, None))
+    if groups is None or not np.array_equal(groups, integral.groups):
+        groups = integral.groups
+        positions = np.empty((len(groups), dofs[0].shape[1], dofs[1].shape[1]), dtype=np.int32)
+        loops.csr_positions(A.indptr, A.indices, *dofs, groups, positions)
+        cached[integral] = (groups, positions)
+    return positions

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: MIT
+"""form(F): a compiled form with integrals over points and over the mesh."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+from ufl.algorithms import expand_derivatives
+
+from dolfinx import fem
+from fenicsmpm.forms.errors import UnsupportedFormError
+from fenicsmpm.forms.integral import PointIntegral, selected_tags
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import PointField
+
+
+class Form:
+    """A compiled form: integrals over points, and what is left for dolfinx.
+
+    Create it with ``form``.
+
+    Attributes:
+        ufl_form: the UFL form.
+        point_integrals: one for each point set and selection of tags.
+        ordinary: compiled dolfinx form of the integrals over cells and facets, or None.
+        function_spaces: dolfinx spaces of the arguments, test space first.
+        mesh: the dolfinx mesh.
+    """
+
+    def __init__(
+        self,
+        ufl_form: ufl.Form,
+        point_integrals: list[PointIntegral],
+        ordinary: fem.Form | None,
+        function_spaces: list[fem.FunctionSpace],
+        mesh: Any,
+    ) -> None:
+        """Collect the parts; see ``form``."""
+        self.ufl_form = ufl_form
+        self.point_integrals = point_integrals
+        self.ordinary = ordinary
+        self.function_spaces = function_spaces
+        self.mesh = mesh
+
+    @property
+    def rank(self) -> int:
+        """Number of arguments: 0 scalar, 1 vector, 2 matrix."""
+        return len(self.function_spaces)
+
+    def __repr__(self) -> str:
+        """Rank, spaces and where the integrals are taken."""
+        parts = [
+            f"{len(i.points)} points" + (f" with tags {i.tags}" if i.tags else "")
+            for i in self.point_integrals
+        ]
+        if self.ordinary is not None:
+            parts.append("cells or facets of the mesh")
+        kind = ("scalar", "vector", "matrix")[self.rank]
+        return f"Form({kind}, integrals over {', '.join(parts) or 'nothing'})"
+
+
+def form(
+    F: ufl.Form,
+    *,
+    form_compiler_options: dict[str, Any] | None = None,
+    jit_options: dict[str, Any] | None = None,
+) -> Form:
+    """Compile a UFL form whose integrals are over material points, cells or facets.
+
+    Integrals over ``points.dx`` are taken as sums over the points with their weights; all other
+    integrals (``dx``, ``ds``, ``dS``) are handed to dolfinx. Collective.
+
+    Args:
+        F: form of rank 0, 1 or 2 on one mesh.
+        form_compiler_options: FFCx options for the integrals over cells and facets.
+        jit_options: options of ``dolfinx.jit.ffcx_jit`` for all integrals; the compiler flags of
+            point integrals are chosen for speed unless ``cffi_extra_compile_args`` says otherwise.
+
+    Returns:
+        The compiled form.
+
+    Raises:
+        UnsupportedFormError: names a part of an integrand that has no meaning over points.
+    """
+    if not isinstance(F, ufl.Form):
+        raise TypeError(f"a UFL form is needed, not {type(F).__name__}: {F}")
+    if F.empty():
+        raise ValueError("the form has no integrals")
+    arguments = F.arguments()
+    over_points: dict[tuple[int, tuple[int, ...] | None], tuple[MaterialPoints, Any]] = {}
+    ordinary_integrals = []
+    for integral in F.integrals():
+        points = integral.subdomain_data()
+        if not isinstance(points, MaterialPoints):
+            ordinary_integrals.append(integral)
+            continue
+        if integral.integral_type() != "cell":
+            raise UnsupportedFormError(
+                f"facet integral over material points: {integral}. Seed boundary points instead."
+            )
+        if integral.metadata():
+            raise UnsupportedFormError(
+                f"quadrature options for an integral over points: {integral.metadata()}. "
+                "The points themselves are the quadrature rule."
+            )
+        if integral.ufl_domain() is not points.mesh.ufl_domain():
+            raise ValueError("the measure of an integral over points belongs to another mesh")
+        key = (id(points), selected_tags(integral))
+        previous = over_points[key][1] if key in over_points else 0
+        over_points[key] = (points, previous + integral.integrand())
+
+    mesh = _mesh_of(F, [points for points, _ in over_points.values()], arguments)
+    options = jit_options or {}
+    point_integrals = []
+    for (_, tags), (points, integrand) in over_points.items():
+        expanded = expand_derivatives(integrand * points.dx)
+        if expanded.empty():
+            continue
+        integrand = sum(i.integrand() for i in expanded.integrals())
+        integral = PointIntegral(integrand, points, tags, options)
+        found = [source.item for source in integral.lowered.arguments]
+        if found != list(arguments):
+            raise ValueError(
+                f"all integrals must have the same arguments: {arguments} of the form, but "
+                f"{found} in an integral over points"
+            )
+        point_integrals.append(integral)
+    ordinary = None
+    if ordinary_integrals:
+        ordinary = _ordinary_form(ordinary_integrals, form_compiler_options, jit_options)
+    return Form(F, point_integrals, ordinary, [_space(a) for a in arguments], mesh)
+
+
+def _space(argument: ufl.Argument) -> fem.FunctionSpace:
+    space = argument.ufl_function_space()
+    if not isinstance(space, fem.FunctionSpace):
+        raise ValueError(
+            f"argument without a dolfinx function space: {argument}. "
+            "Use fem.functionspace(mesh, element)."
+        )
+    return space
+
+
+def _mesh_of(F: ufl.Form, point_sets: list[MaterialPoints], arguments: Any) -> Any:
+    meshes = [p.mesh for p in point_sets] + [_space(a).mesh for a in arguments]
+    meshes += [c.function_space.mesh for c in F.coefficients() if isinstance(c, fem.Function)]
+    for mesh in meshes:
+        if mesh.ufl_domain() is not meshes[0].ufl_domain():
+            raise ValueError(
+                "points and function spaces live on different meshes: define all spaces of a "
+                "form on the background mesh of its points"
+            )
+    # a form of integrals over facets or cells without any function knows its mesh by dolfinx
+    return meshes[0] if meshes else None
+
+
+def _ordinary_form(
+    integrals: list[ufl.Integral],
+    form_compiler_options: dict[str, Any] | None,
+    jit_options: dict[str, Any] | None,
+) -> fem.Form | None:
+    ordinary = ufl.Form(integrals)
+    for coefficient in ordinary.coefficients():
+        if isinstance(coefficient, PointField):
+            raise UnsupportedFormError(
+                f"point field {coefficient.name!r} in an integral over cells or facets: it has "
+                "values at its points only. Integrate over points.dx, or project it first."
+            )
+    if expand_derivatives(ordinary).empty():
+        return None
+    return fem.form(ordinary, form_compiler_options=form_compiler_options, jit_options=jit_options)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Values of UFL's geometric quantities at material points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from dolfinx import fem
+from fenicsmpm import _compat
+from fenicsmpm.points import MaterialPoints
+
+
+def geometry_values(
+    quantity: Any,
+    stencil: Any,
+    points: MaterialPoints,
+    rows: npt.NDArray[np.int64],
+    order: npt.NDArray[np.int64],
+) -> npt.NDArray[np.float64]:
+    """Evaluate a geometric quantity at points.
+
+    Args:
+        quantity: one of the UFL geometric quantities named in ``lowering``.
+        stencil: the points' stencil.
+        points: the point set.
+        rows: ``(n,)`` table rows of the points to evaluate at.
+        order: ``(n,)`` their storage indices.
+
+    Returns:
+        ``(n, size)`` flattened values.
+    """
+    name = type(quantity).__name__
+    if name == "SpatialCoordinate":
+        return points.x[order]
+    if name.startswith("Jacobian"):
+        jacobian = stencil.jacobian()[rows]
+        if name == "Jacobian":
+            values = jacobian
+        elif name == "JacobianInverse":
+            values = np.linalg.inv(jacobian)
+        else:
+            values = np.linalg.det(jacobian)
+        return values.reshape(len(rows), -1)
+    return cell_values(quantity, points.mesh)[points.cell[order]].reshape(-1, 1)
+
+
+def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
+    """``(n_cells,)`` values of a quantity that is constant in each cell, by dolfinx itself."""
+    space = fem.functionspace(mesh, ("DG", 0))
+    if type(quantity).__name__ == "CellVolume":
+        # exact for cells that are not affine, for which UFL has no formula
+        values = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
+    else:
+        function = fem.Function(space)
+        points = _compat.interpolation_points(space)
+        function.interpolate(fem.Expression(quantity, points))
+        values = function.x.array
+    result = np.empty(len(space.dofmap.list))
+    result[:] = values[space.dofmap.list[:, 0]]
+    return result

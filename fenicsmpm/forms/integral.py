@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: MIT
+"""PointIntegral: one lowered integral over (a subset of) a point set, ready to be evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from dolfinx import fem
+from fenicsmpm.basis import stencil_of
+from fenicsmpm.forms import loops
+from fenicsmpm.forms.geometry import geometry_values
+from fenicsmpm.forms.kernels import compile_pointwise
+from fenicsmpm.forms.lowering import Source, lower
+from fenicsmpm.forms.slots import SlotTable, slot_table
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import PointField
+
+# Points of a batch and thread: its inputs and element tensors should stay in the cache
+_BATCH = 4096
+
+
+class PointIntegral:
+    """Integral of a UFL expression over material points.
+
+    Args:
+        integrand: scalar UFL expression of rank 0, 1 or 2.
+        points: the point set; its weights are the quadrature weights.
+        tags: restrict the integral to points with one of these tags; None for all.
+        jit_options: see ``form``.
+
+    Raises:
+        UnsupportedFormError: see ``lowering.lower``.
+    """
+
+    def __init__(
+        self,
+        integrand: Any,
+        points: MaterialPoints,
+        tags: tuple[int, ...] | None,
+        jit_options: dict[str, Any],
+    ) -> None:
+        """Lower and compile (collective)."""
+        self.points = points
+        self.tags = tags
+        self.stencil = stencil_of(points)
+        self.lowered = lower(integrand, points.mesh)
+        self.kernel = compile_pointwise(points.mesh.comm, self.lowered, jit_options)
+        self._version = -1
+        self._tables: dict[int, SlotTable] = {}
+        self._dofs: dict[int, npt.NDArray[np.int32]] = {}
+
+    # --- the selected points -----------------------------------------------------------------
+
+    def refresh(self) -> None:
+        """Select points and groups anew if the points have moved or changed."""
+        tags = self.points.tag if self.tags is not None else None
+        key = (self.points.version, None if tags is None else tags.tobytes())
+        if key == self._version:
+            return
+        self._version = key
+        self._tables = {}
+        order, offsets = self.stencil.order, self.stencil.offsets
+        if tags is None:
+            self.rows = np.arange(len(order), dtype=np.int64)
+        else:
+            self.rows = np.flatnonzero(np.isin(tags[order], self.tags))
+        counts = np.searchsorted(self.rows, offsets)
+        self.groups = np.flatnonzero(np.diff(counts)).astype(np.int32)
+        self.offsets = np.append(counts[self.groups], len(self.rows)).astype(np.int64)
+        self.order = order[self.rows]
+
+    @property
+    def weights(self) -> npt.NDArray[np.float64]:
+        """``(n,)`` weights of the selected points in group order."""
+        return self.points.weight[self.order]
+
+    def _average(self, table: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Average full table rows over the selected points of each group."""
+        result = np.zeros_like(table)
+        result[self.rows] = loops.average_groups(table[self.rows], self.weights, self.offsets)
+        return result
+
+    def table(self, source: Source) -> SlotTable:
+        """Slot table of an argument or function, kept until the points move."""
+        key = id(source)
+        if key not in self._tables:
+            assert source.layout is not None
+            self._tables[key] = slot_table(source.layout, source.used, self.stencil, self._average)
+        return self._tables[key]
+
+    def dofs(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
+        """``(n_groups, n_local)`` unrolled dofs of a source's space, in the slots' order."""
+        key = id(source)
+        if key not in self._dofs:
+            assert source.layout is not None
+            self._dofs[key] = source.layout.unrolled_dofs(space, self.stencil)
+        return self._dofs[key]
+
+    # --- kernel inputs -----------------------------------------------------------------------
+
+    def batches(self) -> Iterator[tuple[slice, slice]]:
+        """Ranges of groups and of points that are processed together."""
+        size = _BATCH * numba.get_num_threads()
+        first = 0
+        while first < len(self.groups):
+            last = int(np.searchsorted(self.offsets, self.offsets[first] + size, side="right")) - 1
+            last = min(max(last, first + 1), len(self.groups))
+            yield slice(first, last), slice(int(self.offsets[first]), int(self.offsets[last]))
+            first = last
+
+    def plain_inputs(self) -> list[npt.NDArray[np.float64] | None]:
+        """Values of the inputs that are not grid functions, ``(n or 1, n_used)`` each."""
+        return [
+            None if source.layout is not None else self._plain_values(source)
+            for source in self.lowered.inputs
+        ]
+
+    def _plain_values(self, source: Source) -> npt.NDArray[np.float64]:
+        item = source.item
+        if isinstance(item, fem.Constant):
+            return item.value.reshape(1, -1)[:, source.used]
+        if isinstance(item, PointField):
+            if item.points is not self.points:
+                raise ValueError(
+                    f"field {item.name!r} of another point set in an integral over "
+                    f"{self.points!r}: use a field of the same points"
+                )
+            values = item.values[self.order].reshape(len(self.order), -1)
+        else:
+            values = geometry_values(item, self.stencil, self.points, self.rows, self.order)
+        size = source.size // 2
+        if source.used[-1] >= size:
+            mean = loops.average_groups(values, self.weights, self.offsets)
+            values = np.hstack([values, mean])
+        return values[:, source.used]
+
+    def inputs(
+        self,
+        groups: slice,
+        points: slice,
+        plain: list[npt.NDArray[np.float64] | None],
+    ) -> npt.NDArray[np.float64]:
+        """``(n_points, n_inputs)`` input vectors of the kernel for a batch."""
+        result = np.empty((points.stop - points.start, max(self.lowered.n_inputs, 1)))
+        offsets = self.offsets[groups.start : groups.stop + 1]
+        first = 0
+        for source, values in zip(self.lowered.inputs, plain, strict=True):
+            n = len(source.used)
+            if values is not None:
+                result[:, first : first + n] = values if len(values) == 1 else values[points]
+            else:
+                table = self.table(source)
+                function = source.item
+                loops.gather_function(
+                    function.x.array,
+                    self.dofs(source, function.function_space),
+                    self.groups[groups],
+                    offsets,
+                    self.rows,
+                    table.basis,
+                    table.column,
+                    table.length,
+                    table.start,
+                    result,
+                    first,
+                )
+            first += n
+        return result
+
+    # --- evaluation --------------------------------------------------------------------------
+
+    def element_tensors(self) -> Iterator[tuple[slice, npt.NDArray[np.float64]]]:
+        """Element tensors, a batch of groups at a time.
+
+        Yields:
+            The range of ``self.groups`` and the tensors, ``(n, [n_local0, [n_local1]])`` with
+            the local dofs in the slots' order.
+        """
+        self.refresh()
+        plain = self.plain_inputs()
+        weights = self.weights
+        arguments = self.lowered.arguments
+        tables = [self.table(source) for source in arguments]
+        n_local = [len(source.layout.dof_order) for source in arguments if source.layout]
+        kernel = self.kernel
+        for groups, points in self.batches():
+            result = np.empty((groups.stop - groups.start, *n_local))
+            offsets = self.offsets[groups.start : groups.stop + 1]
+            common = (kernel.address, kernel.coordinates(), offsets, weights)
+            inputs = self.inputs(groups, points, plain)
+            if any(len(source.used) == 0 for source in arguments):
+                result[:] = 0.0
+            elif len(arguments) == 0:
+                loops.element_scalars(*common, inputs, result)
+            elif len(arguments) == 1:
+                (t,) = tables
+                loops.element_vectors(
+                    *common, self.rows, inputs, t.basis, t.column, t.length, t.start, result
+                )
+            else:
+                t0, t1 = tables
+                loops.element_matrices(
+                    *common,
+                    self.rows,
+                    inputs,
+                    *(t0.basis, t0.column, t0.length, t0.start),
+                    *(t1.basis, t1.column, t1.length, t1.start),
+                    result,
+                )
+            yield groups, result
+
+    def point_tensors(self) -> npt.NDArray[np.float64]:
+        """Kernel's output at each selected point, ``(n, *kernel.shape)``, in group order."""
+        self.refresh()
+        plain = self.plain_inputs()
+        size = int(np.prod(self.kernel.shape, dtype=int))
+        result = np.zeros((len(self.rows), size))
+        for groups, points in self.batches():
+            inputs = self.inputs(groups, points, plain)
+            loops.evaluate_points(
+                self.kernel.address, self.kernel.coordinates(), inputs, result[points]
+            )
+        return result.reshape(len(self.rows), *self.kernel.shape)
+
+
+def selected_tags(integral: ufl.Integral) -> tuple[int, ...] | None:
+    """Tags to which an integral over points is restricted; None for all points."""
+    ids = integral.subdomain_id()
+    if isinstance(ids, str):  # "everywhere"
+        return None
+    return tuple(int(i) for i in (ids if isinstance(ids, tuple) else (ids,)))

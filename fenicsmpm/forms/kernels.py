@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""Pointwise form -> C function by FFCx, and how numba calls it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from fenicsmpm import _compat
+from fenicsmpm.forms.lowering import PointwiseForm
+
+# FFCx's default, -O2, leaves half the speed of large tangents on the table. Errno and floating
+# point traps are never looked at; everything else of IEEE arithmetic (NaN above all) is kept.
+COMPILE_ARGS = ["-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math"]
+
+# Coordinates of the interval on which pointwise forms are compiled
+COORDINATES = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+
+
+@dataclass
+class Kernel:
+    """A compiled pointwise form.
+
+    Attributes:
+        address: of the C function ``tabulate_tensor(A, w, c, coordinates, ...)``; it adds to A,
+            shape ``(trial slots, test slots)``, and reads its inputs from c.
+        shape: shape of A: (), (test slots,) or (trial slots, test slots).
+        module: CFFI module that owns the function.
+    """
+
+    address: int
+    shape: tuple[int, ...]
+    module: Any
+
+    def coordinates(self) -> npt.NDArray[np.float64]:
+        """Coordinates to pass to the function."""
+        return COORDINATES
+
+
+def compile_pointwise(comm: Any, lowered: PointwiseForm, jit_options: dict[str, Any]) -> Kernel:
+    """Compile a lowered integrand, once for all ranks and from FFCx's cache if it is there.
+
+    Args:
+        comm: MPI communicator (collective).
+        lowered: the pointwise form.
+        jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
+    """
+    options = {"cffi_extra_compile_args": COMPILE_ARGS, "timeout": 600} | jit_options
+    compiled, module = _compat.compile_form(comm, lowered.form, options)
+    shape = tuple(max(len(s.used), 1) for s in reversed(lowered.arguments))
+    return Kernel(_compat.kernel_address(compiled, module), shape, module)
+
+
+@intrinsic
+def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignore[no-untyped-def]
+    """Call a kernel by its address; all four arguments are addresses (int64).
+
+    One compiled loop serves all forms that way. The seventh pointer exists from FFCx 0.10 on;
+    in the C calling conventions an argument more than the callee takes is ignored.
+    """
+    signature = types.void(types.int64, types.int64, types.int64, types.int64)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        pointer = ir.IntType(8).as_pointer()
+        function_type = ir.FunctionType(ir.VoidType(), [pointer] * 7)
+        function = builder.inttoptr(args[0], function_type.as_pointer())
+        tensor, inputs, coordinates = (builder.inttoptr(a, pointer) for a in args[1:])
+        null = ir.Constant(pointer, None)
+        builder.call(function, [tensor, null, inputs, coordinates, null, null, null])
+        return context.get_dummy_value()
+
+    return signature, codegen

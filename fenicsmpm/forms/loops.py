@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: MIT
+"""The numba loops of assembly: gather inputs, call the kernel, contract, scatter.
+
+Arrays over points are in group order; ``rows`` leads from a selected point to its table row.
+Groups are processed in parallel into element tensors, which are added up serially: the result
+does not depend on the number of threads.
+"""
+
+# mypy: disallow_untyped_defs=False
+
+import numba
+import numpy as np
+
+from fenicsmpm.forms.kernels import call_kernel
+
+
+@numba.njit(cache=True, parallel=True)
+def gather_function(
+    values, dofs, groups, offsets, rows, basis, column, length, start, inputs, first
+):
+    """Slots of a function at the points of some groups into ``inputs[:, first:]``.
+
+    Args:
+        values: ``(n_dofs,)`` local coefficient vector, ghosts included.
+        dofs: ``(n_all_groups, n_local)``.
+        groups: ``(n_groups,)`` the groups to do.
+        offsets: ``(n_groups + 1,)`` their ranges of points within ``rows``.
+        rows: table row of each point.
+        basis: ``(n_table, n_columns)`` table.
+        column: first column of each slot.
+        length: number of grid functions of each slot.
+        start: first local dof of each slot.
+        inputs: ``(n_points of these groups, n_inputs)`` result.
+        first: first column of the result.
+    """
+    for i in numba.prange(len(groups)):
+        local = values[dofs[groups[i]]]
+        for k in range(offsets[i], offsets[i + 1]):
+            row = basis[rows[k]]
+            for s in range(len(column)):
+                value = 0.0
+                for a in range(length[s]):
+                    value += row[column[s] + a] * local[start[s] + a]
+                inputs[k - offsets[0], first + s] = value
+
+
+@numba.njit(cache=True, parallel=True)
+def evaluate_points(address, coordinates, inputs, tensors):
+    """Kernel's output at each point, ``tensors (n_points, n)``, zeroed first."""
+    for k in numba.prange(len(inputs)):
+        tensors[k] = 0.0
+        call_kernel(
+            address, tensors[k].ctypes.data, inputs[k].ctypes.data, coordinates.ctypes.data
+        )
+
+
+@numba.njit(cache=True, parallel=True)
+def element_scalars(address, coordinates, offsets, weights, inputs, result):
+    """Integral over each group's points into ``result (n_groups,)``."""
+    for i in numba.prange(len(offsets) - 1):
+        tensor = np.empty(1)
+        result[i] = 0.0
+        for k in range(offsets[i], offsets[i + 1]):
+            tensor[0] = 0.0
+            call_kernel(
+                address,
+                tensor.ctypes.data,
+                inputs[k - offsets[0]].ctypes.data,
+                coordinates.ctypes.data,
+            )
+            result[i] += weights[k] * tensor[0]
+
+
+@numba.njit(cache=True, parallel=True)
+def element_vectors(
+    address, coordinates, offsets, weights, rows, inputs, basis, column, length, start, result
+):
+    """b_K = sum_p V_p B^T D into ``result (n_groups, n_local)``."""
+    n_slots = len(column)
+    for i in numba.prange(len(offsets) - 1):
+        tensor = np.empty(n_slots)
+        result[i] = 0.0
+        for k in range(offsets[i], offsets[i + 1]):
+            tensor[:] = 0.0
+            call_kernel(
+                address,
+                tensor.ctypes.data,
+                inputs[k - offsets[0]].ctypes.data,
+                coordinates.ctypes.data,
+            )
+            row = basis[rows[k]]
+            for s in range(n_slots):
+                factor = weights[k] * tensor[s]
+                for a in range(length[s]):
+                    result[i, start[s] + a] += factor * row[column[s] + a]
+
+
+@numba.njit(cache=True, parallel=True)
+def element_matrices(
+    address,
+    coordinates,
+    offsets,
+    weights,
+    rows,
+    inputs,
+    basis0,
+    column0,
+    length0,
+    start0,
+    basis1,
+    column1,
+    length1,
+    start1,
+    result,
+):
+    """A_K = sum_p V_p B0^T D B1 into ``result (n_groups, n_local0, n_local1)``.
+
+    The kernel's output is D transposed: ``tensor[trial slot, test slot]``.
+    """
+    n0, n1 = len(column0), len(column1)
+    n_trial = result.shape[2]
+    for i in numba.prange(len(offsets) - 1):
+        tensor = np.empty((n1, n0))
+        half = np.empty((n_trial, n0))  # (D B1)^T
+        line = np.empty(n_trial)
+        result[i] = 0.0
+        for k in range(offsets[i], offsets[i + 1]):
+            tensor[:] = 0.0
+            call_kernel(
+                address,
+                tensor.ctypes.data,
+                inputs[k - offsets[0]].ctypes.data,
+                coordinates.ctypes.data,
+            )
+            row0 = basis0[rows[k]]
+            row1 = basis1[rows[k]]
+            half[:] = 0.0
+            for t in range(n1):
+                for b in range(length1[t]):
+                    factor = row1[column1[t] + b]
+                    target = half[start1[t] + b]
+                    for s in range(n0):
+                        target[s] += factor * tensor[t, s]
+            for s in range(n0):
+                for j in range(n_trial):
+                    line[j] = weights[k] * half[j, s]
+                for a in range(length0[s]):
+                    factor = row0[column0[s] + a]
+                    target = result[i, start0[s] + a]
+                    for j in range(n_trial):
+                        target[j] += factor * line[j]
+
+
+@numba.njit(cache=True)
+def add_vectors(vectors, dofs, groups, result):
+    """Add element vectors to a local vector."""
+    for i in range(len(groups)):
+        for a in range(dofs.shape[1]):
+            result[dofs[groups[i], a]] += vectors[i, a]
+
+
+@numba.njit(cache=True)
+def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data):
+    """Add element matrices to CSR data, without constrained rows and columns.
+
+    Args:
+        matrices: ``(n_groups, n_local0, n_local1)``.
+        dofs0: ``(n_all_groups, n_local0)`` rows.
+        dofs1: ``(n_all_groups, n_local1)`` columns.
+        groups: ``(n_groups,)``.
+        positions: ``(n_groups, n_local0, n_local1)`` positions within ``data``.
+        fixed0: uint8 marks of constrained rows.
+        fixed1: uint8 marks of constrained columns.
+        data: CSR values.
+    """
+    for i in range(len(groups)):
+        for a in range(dofs0.shape[1]):
+            if fixed0[dofs0[groups[i], a]]:
+                continue
+            for b in range(dofs1.shape[1]):
+                if not fixed1[dofs1[groups[i], b]]:
+                    data[positions[i, a, b]] += matrices[i, a, b]
+
+
+@numba.njit(cache=True)
+def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
+    """Subtract the constrained columns times ``values (n_dofs1,)`` from a vector."""
+    for i in range(len(groups)):
+        for b in range(dofs1.shape[1]):
+            j = dofs1[groups[i], b]
+            if fixed1[j]:
+                for a in range(dofs0.shape[1]):
+                    result[dofs0[groups[i], a]] -= matrices[i, a, b] * values[j]
+
+
+@numba.njit(cache=True)
+def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
+    """Position of each entry of some groups' element matrices within CSR data."""
+    for i in range(len(groups)):
+        for a in range(dofs0.shape[1]):
+            row = dofs0[groups[i], a]
+            first, last = indptr[row], indptr[row + 1]
+            for b in range(dofs1.shape[1]):
+                column = dofs1[groups[i], b]
+                k = first + np.searchsorted(indices[first:last], column)
+                positions[i, a, b] = k
+
+
+@numba.njit(cache=True)
+def average_groups(table, weights, offsets):
+    """Weighted average of table rows over the points of each group, one row a point."""
+    result = np.empty_like(table)
+    for i in range(len(offsets) - 1):
+        mean = np.zeros(table.shape[1])
+        total = 0.0
+        for k in range(offsets[i], offsets[i + 1]):
+            total += weights[k]
+            for c in range(table.shape[1]):
+                mean[c] += weights[k] * table[k, c]
+        for k in range(offsets[i], offsets[i + 1]):
+            for c in range(table.shape[1]):
+                result[k, c] = mean[c] / total
+    return result

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""Assembly into PETSc objects, with the names and habits of ``dolfinx.fem.petsc``."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import fem, la
+from fenicsmpm import _compat
+from fenicsmpm.forms import assembly
+from fenicsmpm.forms.form import Form
+
+# MatrixCSR in which each PETSc matrix is assembled before its rows are handed over
+_work: weakref.WeakKeyDictionary[Form, la.MatrixCSR] = weakref.WeakKeyDictionary()
+
+
+def create_vector(L: Form) -> PETSc.Vec:
+    """Create a ghosted vector for a form of rank 1, filled with zeros."""
+    dofmap = L.function_spaces[0].dofmap
+    index_map, bs = dofmap.index_map, dofmap.index_map_bs
+    size = (index_map.size_local * bs, index_map.size_global * bs)
+    ghosts = index_map.ghosts.astype(PETSc.IntType)
+    return PETSc.Vec().createGhost(ghosts, size=size, bsize=bs, comm=L.mesh.comm)
+
+
+def assemble_vector(L: Form, b: PETSc.Vec | None = None) -> PETSc.Vec:
+    """Assemble a form of rank 1; as in dolfinx, ghosts are not sent to their owners.
+
+    Args:
+        L: compiled form.
+        b: vector to add to; None for a new one.
+
+    Returns:
+        The vector; call ``b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)``
+        after lifting.
+    """
+    assembly._check(L, 1)
+    b = create_vector(L) if b is None else b
+    with b.localForm() as local:
+        assembly.add_to_array(local.array_w, L)
+    return b
+
+
+def create_matrix(a: Form) -> PETSc.Mat:
+    """Create a matrix for a form of rank 2, with room for points in any cell."""
+    A = _work_matrix(a)
+    maps = [V.dofmap.index_map for V in a.function_spaces]
+    bs = [V.dofmap.index_map_bs for V in a.function_spaces]
+    sizes = [(m.size_local * b, m.size_global * b) for m, b in zip(maps, bs, strict=True)]
+    columns = _global_columns(A)
+    owned = A.index_map(0).size_local
+    indptr = A.indptr[: owned + 1].astype(PETSc.IntType)
+    matrix = PETSc.Mat().createAIJ(sizes, comm=a.mesh.comm, csr=(indptr, columns))
+    matrix.assemble()
+    return matrix
+
+
+def assemble_matrix(
+    a: Form,
+    bcs: Sequence[fem.DirichletBC] = (),
+    diag: float = 1.0,
+    A: PETSc.Mat | None = None,
+) -> PETSc.Mat:
+    """Assemble a form of rank 2, see ``fenicsmpm.forms.assemble_matrix``.
+
+    Args:
+        a: compiled form.
+        bcs: Dirichlet conditions.
+        diag: diagonal entry of constrained degrees of freedom.
+        A: matrix to overwrite, from ``create_matrix``; None for a new one.
+
+    Returns:
+        The assembled matrix.
+    """
+    A = create_matrix(a) if A is None else A
+    work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a))
+    owned = work.index_map(0).size_local
+    indptr = work.indptr[: owned + 1].astype(PETSc.IntType)
+    A.setValuesCSR(indptr, _global_columns(work), work.data[: indptr[-1]])
+    A.assemble()
+    return A
+
+
+def apply_lifting(
+    b: PETSc.Vec,
+    a: Sequence[Form],
+    bcs: Sequence[Sequence[fem.DirichletBC]],
+    x0: Sequence[PETSc.Vec] | None = None,
+    alpha: float = 1.0,
+) -> None:
+    """Subtract ``alpha * A (g - x0)``, see ``fenicsmpm.forms.apply_lifting``.
+
+    Args:
+        b: vector, ghosts not yet sent to their owners.
+        a: compiled forms of rank 2.
+        bcs: Dirichlet conditions on the trial space of each form.
+        x0: current solutions with up-to-date ghosts.
+        alpha: factor.
+    """
+    arrays = None
+    if x0 is not None:
+        arrays = []
+        for x in x0:
+            with x.localForm() as local:
+                arrays.append(local.array_r.copy())
+    with b.localForm() as local:
+        assembly.apply_lifting(local.array_w, a, bcs, arrays, alpha)
+
+
+def set_bc(
+    b: PETSc.Vec,
+    bcs: Sequence[fem.DirichletBC],
+    x0: PETSc.Vec | None = None,
+    alpha: float = 1.0,
+) -> None:
+    """Set the owned constrained entries of a vector to ``alpha * (g - x0)``.
+
+    Args:
+        b: vector.
+        bcs: Dirichlet conditions.
+        x0: vector of which owned entries are taken; None for zero.
+        alpha: factor.
+    """
+    for bc in bcs:
+        _compat.bc_set(bc, b.array_w, None if x0 is None else x0.array_r, alpha)
+
+
+def _work_matrix(a: Form) -> la.MatrixCSR:
+    if a not in _work:
+        _work[a] = assembly.create_matrix(a)
+    return _work[a]
+
+
+def _global_columns(A: la.MatrixCSR) -> np.ndarray:
+    owned = A.index_map(0).size_local
+    columns = A.indices[: A.indptr[owned]]
+    return A.index_map(1).local_to_global(columns).astype(PETSc.IntType)

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""Updated Lagrangian kinematics at material points.
+
+The unknown of a step is the displacement increment u from x_n to x_{n+1} on the undeformed
+background mesh, on which integrals are taken with the volumes V_n. Tensors are 3x3, in plane
+strain too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+
+from fenicsmpm.points import MaterialPoints
+
+
+def embed(A: Any) -> Any:
+    """3x3 tensor with the given 2x2 or 3x3 one in its corner, zeros elsewhere."""
+    if A.ufl_shape == (3, 3):
+        return A
+    return ufl.as_tensor([[A[0, 0], A[0, 1], 0], [A[1, 0], A[1, 1], 0], [0, 0, 0]])
+
+
+class Kinematics:
+    """Deformation of a step at the points, as UFL expressions.
+
+    Args:
+        u: displacement increment of the step [m].
+        points: material points; their field "F" (3x3), if they have one, is the deformation
+            gradient at the beginning of the step, otherwise they are undeformed.
+
+    Attributes:
+        f: gradient of the increment's motion, I + grad(u), d x d.
+        j: det f, ratio of the volumes V_{n+1} / V_n.
+        F: deformation gradient f F_n, 3x3.
+        J: det F.
+    """
+
+    def __init__(self, u: Any, points: MaterialPoints) -> None:
+        """Write down f, j, F and J."""
+        dim = points.mesh.geometry.dim
+        self.f = ufl.Identity(dim) + ufl.grad(u)
+        self.j = ufl.det(self.f)
+        f3 = ufl.Identity(3) + embed(ufl.grad(u))
+        if "F" in points:
+            F_n = points.field("F")
+            self.F = f3 * F_n
+            self.J = self.j * ufl.det(F_n)
+        else:
+            self.F = f3
+            self.J = self.j
+
+    def grad(self, g: Any) -> Any:
+        """Spatial gradient of a function on the background mesh, grad(g) f^-1."""
+        return ufl.dot(ufl.grad(g), ufl.inv(self.f))
+
+    def div(self, w: Any) -> Any:
+        """Spatial divergence."""
+        return ufl.tr(self.grad(w))

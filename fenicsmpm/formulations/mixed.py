@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Mixed displacement-pressure formulation (VMS, section 2.4) and its function spaces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix.ufl
+import ufl
+
+from dolfinx import fem
+from fenicsmpm.formulations.kinematics import Kinematics, embed
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import MaterialPoints
+
+
+def mixed_space(mesh: Any, projections: bool = False, degree: int = 1) -> fem.FunctionSpace:
+    """Space of displacement and pressure, of equal order.
+
+    Args:
+        mesh: background mesh.
+        projections: append spaces for the projections of both residuals, which OSGS needs.
+        degree: polynomial degree.
+
+    Returns:
+        Space of ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
+    """
+    cell = mesh.basix_cell()
+    vector = basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))
+    scalar = basix.ufl.element("Lagrange", cell, degree)
+    elements = [vector, scalar] * (2 if projections else 1)
+    return fem.functionspace(mesh, basix.ufl.mixed_element(elements))
+
+
+def mixed(
+    U: fem.Function,
+    V: Any,
+    points: MaterialPoints,
+    law: NeoHookean,
+    *,
+    force: Any = None,
+) -> ufl.Form:
+    """Galerkin residual of the mixed formulation, equations 1 and 2 of VMS in weak form.
+
+    (sigma_dev, grad w) + (p, div w) - (rho b, w) + (U'(J)/kappa - p/kappa, q), per current volume.
+
+    Args:
+        U: increment of displacement [m] and pressure [Pa] (mean stress, tension positive), first
+            two parts of a mixed space.
+        V: test function of the same space.
+        points: material points with weights V_n [m^d].
+        law: constitutive law.
+        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
+
+    Returns:
+        UFL form of rank 1.
+    """
+    u, p = ufl.split(U)[:2]
+    w, q = ufl.split(V)[:2]
+    k = Kinematics(u, points)
+    grad_w = k.grad(w)
+    stress = ufl.inner(law.deviatoric_stress(k.F), embed(grad_w)) + p * ufl.tr(grad_w)
+    constraint = volumetric_residual(p, k, law)
+    residual = k.j * (stress + constraint * q) * points.dx
+    if force is not None:
+        residual -= ufl.inner(force, w) * points.dx
+    return residual
+
+
+def volumetric_residual(p: Any, k: Kinematics, law: NeoHookean) -> Any:
+    """R_p = U'(J)/kappa - p/kappa [-] (VMS, equation 2)."""
+    residual = law.volumetric_strain(k.J)
+    if law.inverse_kappa > 0:
+        residual -= law.inverse_kappa * p
+    return residual

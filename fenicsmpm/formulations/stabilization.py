@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: MIT
+"""Stabilization of equal-order mixed elements: PPP, ASGS and OSGS (VMS, section 4).
+
+Every function returns UFL that is added to the Galerkin residual of ``mixed``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+
+from dolfinx import fem
+from fenicsmpm.formulations.kinematics import Kinematics
+from fenicsmpm.formulations.mixed import volumetric_residual
+from fenicsmpm.mapping import FilledFraction
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import MaterialPoints
+
+
+def element_size(points: MaterialPoints) -> Any:
+    """h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
+    mesh = points.mesh
+    return ufl.CellVolume(mesh.ufl_domain()) ** (1 / mesh.geometry.dim)
+
+
+def tau(points: MaterialPoints, law: NeoHookean, c1: float = 1.0, c2: float = 1.0) -> Any:
+    """Stabilization parameters of VMS, equation 21.
+
+    Args:
+        points: material points.
+        law: constitutive law.
+        c1: algorithmic constant of tau_1.
+        c2: algorithmic constant of tau_2.
+
+    Returns:
+        tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa].
+    """
+    return c1 * element_size(points) ** 2 / (2 * law.mu), 2 * c2 * law.mu
+
+
+def ppp(
+    U: fem.Function, V: Any, points: MaterialPoints, law: NeoHookean, *, alpha: float = 1.0
+) -> ufl.Form:
+    """Polynomial pressure projection of Dohrmann and Bochev, used by VMS for comparison.
+
+    -alpha / mu (p - p_K, q - q_K) with the averages over the points of a cell p_K, q_K.
+
+    Args:
+        U: increment of displacement and pressure.
+        V: test function.
+        points: material points.
+        law: constitutive law.
+        alpha: factor [-].
+
+    Returns:
+        UFL form of rank 1.
+    """
+    u, p = ufl.split(U)[:2]
+    _, q = ufl.split(V)[:2]
+    j = Kinematics(u, points).j
+    rough_p = p - ufl.cell_avg(p)
+    rough_q = q - ufl.cell_avg(q)
+    return -alpha / law.mu * j * rough_p * rough_q * points.dx
+
+
+def asgs(
+    U: fem.Function,
+    V: Any,
+    points: MaterialPoints,
+    law: NeoHookean,
+    *,
+    force: Any = None,
+    c1: float = 1.0,
+    c2: float = 1.0,
+) -> ufl.Form:
+    """Algebraic subgrid scales: subscales are the residuals times tau (VMS, section 4).
+
+    Args:
+        U: increment of displacement [m] and pressure [Pa].
+        V: test function.
+        points: material points with weights V_n [m^d].
+        law: constitutive law.
+        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
+        c1: constant of tau_1.
+        c2: constant of tau_2.
+
+    Returns:
+        UFL form of rank 1.
+    """
+    R_u, R_p, j = residuals(U, points, law, force)
+    return _subscales(U, V, points, law, R_u, R_p, j, c1, c2)
+
+
+def osgs(
+    U: fem.Function,
+    V: Any,
+    points: MaterialPoints,
+    law: NeoHookean,
+    *,
+    force: Any = None,
+    c1: float = 1.0,
+    c2: float = 1.0,
+) -> ufl.Form:
+    """Orthogonal subgrid scales: residuals minus their lumped projection on the grid.
+
+    The projections are unknowns of the same system (space from ``mixed_space(projections=True)``),
+    so Newton's method keeps its quadratic convergence; VMS lags them by an iteration.
+
+    Args:
+        U: increment of displacement [m], pressure [Pa], projection of the momentum residual
+            [N/m^3] and of the volumetric residual [-].
+        V: test function.
+        points: material points with weights V_n [m^d].
+        law: constitutive law.
+        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
+        c1: constant of tau_1.
+        c2: constant of tau_2.
+
+    Returns:
+        UFL form of rank 1.
+    """
+    parts = ufl.split(U)
+    if len(parts) != 4:
+        raise ValueError(
+            f"OSGS needs a space of (u, p, Pi_u, Pi_p), not {len(parts)} parts: "
+            "use mixed_space(mesh, projections=True)"
+        )
+    Pi_u, Pi_p = parts[2:]
+    eta_u, eta_p = ufl.split(V)[2:]
+    R_u, R_p, j = residuals(U, points, law, force)
+    projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
+    fraction = FilledFraction(points)
+    lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
+    subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, j, c1, c2)
+    return subscales + lumped - projected
+
+
+def residuals(
+    U: fem.Function, points: MaterialPoints, law: NeoHookean, force: Any = None
+) -> tuple[Any, Any, Any]:
+    """Residuals of momentum and of the volumetric law, for linear elements.
+
+    Args:
+        U: increment of displacement and pressure.
+        points: material points.
+        law: constitutive law.
+        force: body force per volume before the step [N/m^d].
+
+    Returns:
+        R_u = rho b + grad p [N/m^3] and R_p = U'(J)/kappa - p/kappa [-] per current volume, and
+        the volume ratio j of the step.
+    """
+    u, p = ufl.split(U)[:2]
+    k = Kinematics(u, points)
+    R_u = ufl.dot(ufl.inv(k.f).T, ufl.grad(p))
+    if force is not None:
+        R_u += force / k.j
+    return R_u, volumetric_residual(p, k, law), k.j
+
+
+def _subscales(
+    U: Any, V: Any, points: MaterialPoints, law: NeoHookean,
+    S_u: Any, S_p: Any, j: Any, c1: float, c2: float,
+) -> ufl.Form:  # fmt: skip
+    """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).
+
+    With r = j f^-T grad(p), the pressure term of momentum per volume before the step, the adjoint
+    of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q.
+    """
+    u, p = ufl.split(U)[:2]
+    w, q = ufl.split(V)[:2]
+    k = Kinematics(u, points)
+    tau1, tau2 = tau(points, law, c1, c2)
+    r = k.j * ufl.dot(ufl.inv(k.f).T, ufl.grad(p))
+    adjoint_u = -ufl.derivative(r, U, V)
+    adjoint_p = k.div(w) - law.inverse_kappa * q
+    return (tau1 * ufl.inner(S_u, adjoint_u) + tau2 * j * S_p * adjoint_p) * points.dx

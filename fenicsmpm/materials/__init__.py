@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: MIT
+"""Constitutive laws."""
+
+from fenicsmpm.materials.hyperelastic import VOLUMETRIC_LAWS, NeoHookean
+
+__all__ = ["VOLUMETRIC_LAWS", "NeoHookean"]
