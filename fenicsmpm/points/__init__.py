@@ -3,5 +3,24 @@
 
 from fenicsmpm.points.material_points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
+from fenicsmpm.points.seeding import (
+    fill,
+    from_mesh,
+    lattice,
+    on_curve,
+    on_facets,
+    quadrature,
+    random,
+)
 
-__all__ = ["MaterialPoints", "PointsOutsideError"]
+__all__ = [
+    "MaterialPoints",
+    "PointsOutsideError",
+    "fill",
+    "from_mesh",
+    "lattice",
+    "on_curve",
+    "on_facets",
+    "quadrature",
+    "random",
+]

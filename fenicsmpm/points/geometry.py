@@ -89,7 +89,9 @@ class CellGeometry:
                 "hexahedra in 3 dimensions, in float64"
             )
         self.cell, self.dim = _CELLS[topology.cell_type]
-        self.corners = geometry.x[_compat.geometry_dofmap(mesh)][:, :, : self.dim]
+        self.corners = np.ascontiguousarray(
+            geometry.x[_compat.geometry_dofmap(mesh)][:, :, : self.dim]
+        )
         self.coefficients = _expand(self.corners)
 
         cells = topology.index_map(self.dim)
@@ -98,9 +100,14 @@ class CellGeometry:
         local = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
         self.global_index = cells.local_to_global(local)
         try:
-            self.key = np.asarray(topology.original_cell_index, dtype=np.int64)
+            self.key = np.array(topology.original_cell_index, dtype=np.int64)
         except RuntimeError:  # meshes made from other meshes do not have it
             self.key = self.global_index
+
+    @property
+    def is_simplex(self) -> bool:
+        """Whether the cells are triangles or tetrahedra."""
+        return self.coefficients.shape[1] == self.dim + 1
 
     @property
     def num_cells(self) -> int:
@@ -114,13 +121,18 @@ class CellGeometry:
         phi = monomials(xi, self.coefficients.shape[1])
         return np.einsum("pk,pkd->pd", phi, self.coefficients[cells])
 
+    def jacobian(
+        self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """dx/dxi, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        gradients = monomial_gradients(xi, self.coefficients.shape[1])
+        return np.einsum("pkj,pki->pij", gradients, self.coefficients[cells])
+
     def determinant(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """|det dx/dxi| at reference coordinates `xi` (n, d) in `cells` (n,)."""
-        gradients = monomial_gradients(xi, self.coefficients.shape[1])
-        jacobian = np.einsum("pkj,pki->pij", gradients, self.coefficients[cells])
-        return np.abs(np.linalg.det(jacobian))
+        return np.abs(np.linalg.det(self.jacobian(cells, xi)))
 
     def volume(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
         """Volumes of `cells` in m^d, exact up to round-off."""

@@ -20,7 +20,7 @@ from dolfinx.mesh import Mesh
 
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.bins import Bins, lattice_bins, make_bins
-from fenicsmpm.points.geometry import CellGeometry, cell_geometry, monomial_gradients
+from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.pullback import reference_point
 
 # Points outside a cell by less than this part of its size are in it.
@@ -57,11 +57,11 @@ class Locator:
         """
         self.geometry = cell_geometry(mesh)
         a, corners, d = self.geometry.coefficients, self.geometry.corners, self.geometry.dim
-        centre = np.full((len(a), d), 0.5 if a.shape[1] == 2**d else 1.0 / (d + 1))
-        jacobian = np.einsum("ckj,cki->cij", monomial_gradients(centre, a.shape[1]), a)
+        centre = np.full((len(a), d), 1.0 / (d + 1) if self.geometry.is_simplex else 0.5)
+        jacobian = self.geometry.jacobian(np.arange(len(a), dtype=np.int32), centre)
         flat = np.flatnonzero(np.linalg.det(jacobian) == 0.0)
         raise_together(mesh.comm, _flat_cells(flat, corners) if len(flat) else None)
-        inverse = np.linalg.inv(jacobian)
+        inverse = np.asarray(np.linalg.inv(jacobian), dtype=np.float64)
         # Coordinates carry round-off relative to their own size, not to that of the cell.
         scale = np.abs(inverse).sum(axis=2).max(axis=1) * np.abs(corners).max(axis=(1, 2))
         tolerance = _TOLERANCE + 16 * np.finfo(float).eps * scale
@@ -88,6 +88,7 @@ class Locator:
             Local cells, shape (n,), int32, -1 where no cell of this rank contains the point; and
             reference coordinates, shape (n, d), which reproduce x up to round-off.
         """
+        x = np.ascontiguousarray(x)
         cell = np.full(len(x), -1, dtype=np.int32) if cells is None else cells.astype(np.int32)
         xi = np.zeros_like(x)
         if self.geometry.num_cells:
@@ -116,8 +117,7 @@ class Locator:
         slack = 1e3 * self._cells.tolerance[cells]
         size = (self._cells.upper[cells] - self._cells.lower[cells]).max(axis=1)
         distance = np.abs(self.geometry.push_forward(cells, xi) - x).max(axis=1)
-        simplex = self.geometry.coefficients.shape[1] == self.geometry.dim + 1
-        highest = xi.sum(axis=1) if simplex else xi.max(axis=1)
+        highest = xi.sum(axis=1) if self.geometry.is_simplex else xi.max(axis=1)
         inside = (xi.min(axis=1) >= -slack) & (highest <= 1.0 + slack)
         return inside & (distance <= slack * size)
 
@@ -146,8 +146,8 @@ def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
     """
     topology = mesh.topology
     d = topology.dim
-    geometry: CellGeometry = cell_geometry(mesh)
-    if geometry.coefficients.shape[1] != d + 1:
+    geometry = cell_geometry(mesh)
+    if not geometry.is_simplex:
         return np.zeros((0, 0), dtype=np.int32)
     topology.create_entities(d - 1)
     topology.create_connectivity(d - 1, d)

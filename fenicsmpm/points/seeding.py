@@ -2,23 +2,32 @@
 """Where material points come from: cells, regions, other meshes, boundaries.
 
 Functions that take a predicate `inside` call it with positions of shape (n, d) in m and expect a
-mask of shape (n,). All functions are collective.
+mask of shape (n,). All functions are collective, and raise on all ranks.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import TypeAlias
+
+from mpi4py import MPI
 
 import basix
 import numpy as np
 import numpy.typing as npt
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import Mesh, locate_entities_boundary
 
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.checks import check_selection
 from fenicsmpm.points.geometry import CellGeometry, cell_geometry
+from fenicsmpm.points.location import locator
 from fenicsmpm.points.material_points import MaterialPoints
 
 Predicate: TypeAlias = Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+
+# Lattice points closer to a facet than this part of a cell may be claimed by several ranks.
+_NEAR_FACET = 1e-9
+# Cells for which random numbers are drawn at a time.
+_BLOCK = 1 << 16
 
 
 def quadrature(
@@ -40,6 +49,8 @@ def quadrature(
     Raises:
         ValueError: If there are no points at all.
     """
+    if degree < 0:
+        raise ValueError(f"a quadrature degree must be at least 0, not {degree}")
     geometry = cell_geometry(mesh)
     points, weights = basix.make_quadrature(geometry.cell, degree)
     filled = _owned(mesh, geometry, cells)
@@ -48,6 +59,282 @@ def quadrature(
     weight = np.tile(weights, len(filled)) * geometry.determinant(cell, xi)
     what = f"quadrature of degree {degree}"
     return _make(mesh, geometry, cell, xi, weight, inside, tag, what)
+
+
+def fill(
+    mesh: Mesh,
+    per_side: int,
+    cells: npt.ArrayLike | None = None,
+    inside: Predicate | None = None,
+    tag: int = 0,
+) -> MaterialPoints:
+    """Points in the centres of equal parts of each cell.
+
+    Cells are cut into per_side**d parts of their own kind. The points of a cell share its volume:
+    equally in affine cells, in others in proportion to det dx/dxi.
+
+    Args:
+        mesh: Background mesh.
+        per_side: Parts along each edge of a cell.
+        cells: Local cells to fill, as for `quadrature`.
+        inside: Only points where this is true.
+        tag: Tag of the points.
+
+    Raises:
+        ValueError: If there are no points at all.
+    """
+    if per_side < 1:
+        raise ValueError(f"cells can be cut into 1 or more parts a side, not {per_side}")
+    geometry = cell_geometry(mesh)
+    points = _centres(geometry, per_side)
+    filled = _owned(mesh, geometry, cells)
+    cell = np.repeat(filled, len(points))
+    xi = np.tile(points, (len(filled), 1))
+    weight = _shares(geometry, filled, xi)
+    what = f"filling with {per_side} points a side"
+    return _make(mesh, geometry, cell, xi, weight, inside, tag, what)
+
+
+def random(
+    mesh: Mesh,
+    per_cell: int,
+    seed: int,
+    cells: npt.ArrayLike | None = None,
+    inside: Predicate | None = None,
+    tag: int = 0,
+) -> MaterialPoints:
+    """Uniformly distributed random points in each cell.
+
+    They depend on the seed and on the number of the cell in the mesh as it was input, not on the
+    number of ranks. The points of a cell share its volume as for `fill`.
+
+    Args:
+        mesh: Background mesh.
+        per_cell: Points in a cell.
+        seed: Seed of the random numbers.
+        cells: Local cells to fill, as for `quadrature`.
+        inside: Only points where this is true.
+        tag: Tag of the points.
+
+    Raises:
+        ValueError: If there are no points at all.
+    """
+    if per_cell < 1:
+        raise ValueError(f"1 or more random points a cell are possible, not {per_cell}")
+    geometry = cell_geometry(mesh)
+    filled = _owned(mesh, geometry, cells)
+    highest = mesh.comm.allreduce(int(geometry.key.max(initial=-1)), MPI.MAX)
+    xi = _draw(geometry.key[filled], highest, (per_cell, geometry.dim), seed)
+    if geometry.is_simplex:
+        # The gaps between sorted uniform numbers are uniform barycentric coordinates.
+        xi = np.diff(np.sort(xi, axis=2), axis=2, prepend=0.0)
+    xi = xi.reshape(-1, geometry.dim)
+    weight = _shares(geometry, filled, xi)
+    what = f"filling with {per_cell} random points a cell"
+    return _make(mesh, geometry, np.repeat(filled, per_cell), xi, weight, inside, tag, what)
+
+
+def lattice(
+    mesh: Mesh, spacing: float, inside: Predicate | None = None, tag: int = 0
+) -> MaterialPoints:
+    """Points on a regular lattice, independent of the cells.
+
+    The lattice starts half a spacing from the lower corner of the mesh's bounding box. Every point
+    in the mesh (and `inside`) has the weight spacing**d.
+
+    Args:
+        mesh: Background mesh.
+        spacing: Distance of neighbours in m.
+        inside: Only points where this is true.
+        tag: Tag of the points.
+
+    Raises:
+        ValueError: If the spacing is not positive or there are no points at all.
+    """
+    if not 0.0 < spacing < np.inf:
+        raise ValueError(f"the spacing of a lattice must be positive, not {spacing}")
+    geometry = cell_geometry(mesh)
+    own = geometry.corners[: geometry.num_owned].reshape(-1, geometry.dim)
+    origin = np.empty(geometry.dim)
+    mesh.comm.Allreduce(own.min(axis=0, initial=np.inf), origin, MPI.MIN)
+    index = _lattice_indices(own, origin, spacing)
+
+    def position(index: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        return origin + (index + 0.5) * spacing
+
+    if inside is not None:
+        error, mask = check_selection(inside, position(index))
+        raise_together(mesh.comm, error)
+        index = index[mask]
+    cell, xi = locator(mesh).locate(position(index))
+    margin = xi.min(axis=1)
+    highest = xi.sum(axis=1) if geometry.is_simplex else xi.max(axis=1)
+    clear = np.minimum(margin, 1.0 - highest) > _NEAR_FACET
+    mine = index[(cell >= 0) & (cell < geometry.num_owned) & clear]
+    # Points on facets between ranks may be seen by several or be given away by all: collect them
+    # once and let MaterialPoints find their owners.
+    shared = np.concatenate(mesh.comm.allgather(index[(cell >= 0) & ~clear]))
+    shared = np.unique(shared, axis=0)[mesh.comm.rank :: mesh.comm.size]
+    x = position(np.concatenate([mine, shared]))
+    _check_any(mesh, len(x), f"a lattice of spacing {spacing}", inside)
+    points = MaterialPoints(mesh, x, spacing**geometry.dim, tag=tag)
+    points.sort()
+    return points
+
+
+def from_mesh(background: Mesh, body: MaterialPoints) -> MaterialPoints:
+    """The same points (weights, tags and fields, but new ids) on another mesh.
+
+    For bodies with a mesh of their own: `from_mesh(background, quadrature(body_mesh, 2))`.
+
+    Args:
+        background: Mesh to put the points on, on the same ranks.
+        body: Points seeded on any other mesh.
+
+    Raises:
+        PointsOutsideError: If some point is outside of the background mesh.
+    """
+    fields = {name: body[name] for name in body.field_names}
+    points = MaterialPoints(background, body.x, body.weight, tag=body.tag, fields=fields)
+    points.sort()
+    return points
+
+
+def on_facets(
+    mesh: Mesh, facets: npt.ArrayLike | Predicate, degree: int = 1, tag: int = 0
+) -> MaterialPoints:
+    """Points of a quadrature rule on facets, weighted by area (3D) or length (2D).
+
+    Args:
+        mesh: Mesh of the facets; see `from_mesh` to bring the points to another one.
+        facets: Local facets (those owned by other ranks are left to them), or a predicate: all
+            boundary facets of which it is true at all vertices.
+        degree: Degree that the rule integrates exactly on affine facets; 1 is one point a facet on
+            simplices and quadrilaterals.
+        tag: Tag of the points.
+
+    Raises:
+        ValueError: If there are no points at all.
+    """
+    geometry = cell_geometry(mesh)
+    d = geometry.dim
+    mesh.topology.create_entities(d - 1)
+    mesh.topology.create_connectivity(d - 1, d)
+    mesh.topology.create_connectivity(d, d - 1)
+    if callable(facets):
+        predicate = facets
+        chosen = locate_entities_boundary(mesh, d - 1, lambda x: predicate(x[:d].T))
+    else:
+        chosen = np.unique(np.asarray(facets, dtype=np.int32))
+    index_map = mesh.topology.index_map(d - 1)
+    error = None
+    if len(chosen) and (chosen[0] < 0 or chosen[-1] >= index_map.size_local + index_map.num_ghosts):
+        error = ValueError(f"no such facets on rank {mesh.comm.rank}: {chosen[0]} to {chosen[-1]}")
+    raise_together(mesh.comm, error)
+    chosen = chosen[chosen < index_map.size_local]
+
+    to_cells = mesh.topology.connectivity(d - 1, d)
+    cell = to_cells.array[to_cells.offsets[chosen]]
+    of_cell = mesh.topology.connectivity(d, d - 1).array.reshape(geometry.num_cells, -1)
+    side = np.argmax(of_cell[cell] == chosen[:, None], axis=1)
+
+    points, weights = basix.make_quadrature(
+        basix.cell.subentity_types(geometry.cell)[d - 1][0], degree
+    )
+    start = np.array([v[0] for v in basix.topology(geometry.cell)[d - 1]])
+    edges = basix.cell.facet_jacobians(geometry.cell)
+    xi = basix.geometry(geometry.cell)[start][:, None] + np.einsum("fij,qj->fqi", edges, points)
+    cell, side = np.repeat(cell, len(weights)), np.repeat(side, len(weights))
+    xi = xi[side[:: len(weights)]].reshape(-1, d)
+    tangents = geometry.jacobian(cell, xi) @ edges[side]
+    metric = np.swapaxes(tangents, 1, 2) @ tangents
+    weight = np.tile(weights, len(chosen)) * np.sqrt(np.linalg.det(metric))
+    _check_any(mesh, len(weight), "a rule on facets", facets if callable(facets) else None)
+    body = MaterialPoints(mesh, geometry.push_forward(cell, xi), weight, cells=cell, tag=tag)
+    body.sort()
+    return body
+
+
+def on_curve(
+    mesh: Mesh, a: npt.ArrayLike, b: npt.ArrayLike, spacing: float, tag: int = 0
+) -> MaterialPoints:
+    """Midpoints of equal segments of the straight line from a to b, weighted by length.
+
+    Args:
+        mesh: Background mesh.
+        a: Start in m, shape (d,).
+        b: End in m, shape (d,).
+        spacing: Largest length of a segment in m.
+        tag: Tag of the points.
+
+    Raises:
+        ValueError: If the spacing is not positive or the line has no length.
+        PointsOutsideError: If some point is outside of the mesh.
+    """
+    start, end = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    dim = mesh.geometry.dim
+    if start.shape != (dim,) or end.shape != (dim,):
+        raise ValueError(f"ends of a line need {dim} coordinates, not {start} and {end}")
+    length = float(np.linalg.norm(end - start))
+    if not (0.0 < spacing < np.inf and 0.0 < length < np.inf):
+        raise ValueError(f"a line of length {length} cannot have points at a spacing of {spacing}")
+    n = max(1, int(np.ceil(length / spacing * (1.0 - 1e-12))))
+    here = n if mesh.comm.rank == 0 else 0  # they go from there to the owners of their cells
+    x = start + (np.arange(here)[:, None] + 0.5) / n * (end - start)
+    return MaterialPoints(mesh, x, length / n, tag=tag)
+
+
+def _centres(geometry: CellGeometry, k: int) -> npt.NDArray[np.float64]:
+    """Centres of k**d equal parts of the reference cell, shape (k**d, d)."""
+    d = geometry.dim
+    boxes = np.array(list(itertools.product(range(k), repeat=d)), dtype=np.float64)
+    if not geometry.is_simplex:
+        return (boxes + 0.5) / k
+    # Kuhn's subdivision: the simplex 1 > y_1 > .. > y_d > 0 consists of those of the d! simplices
+    # in each of k**d boxes that lie in it, all alike.
+    inner = np.arange(d, 0, -1) / (d + 1)
+    corners = np.array(list(itertools.permutations(inner)))
+    y = ((boxes[:, None] + corners) / k).reshape(-1, d)
+    y = y[np.all(np.diff(y, axis=1) < 0.0, axis=1)]
+    return np.append(y[:, :-1] - y[:, 1:], y[:, -1:], axis=1)
+
+
+def _shares(
+    geometry: CellGeometry, filled: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Shares of the cells' volumes for the same number of points xi in each filled cell."""
+    if not len(filled):
+        return np.zeros(0)
+    n = len(xi) // len(filled)
+    weight = geometry.determinant(np.repeat(filled, n), xi).reshape(-1, n)
+    weight *= (geometry.volume(filled) / weight.sum(axis=1))[:, None]
+    return weight.ravel()
+
+
+def _draw(
+    key: npt.NDArray[np.int64], highest: int, shape: tuple[int, int], seed: int
+) -> npt.NDArray[np.float64]:
+    """Numbers in [0, 1) for cells of the given keys, shape (len(key), *shape)."""
+    rng = np.random.default_rng(seed)
+    result = np.empty((len(key), *shape))
+    for start in range(0, highest + 1, _BLOCK):
+        # All ranks draw the numbers of all cells, a block at a time, and take those of their own.
+        numbers = rng.random((min(_BLOCK, highest + 1 - start), *shape))
+        mine = (key >= start) & (key < start + _BLOCK)
+        result[mine] = numbers[key[mine] - start]
+    return result
+
+
+def _lattice_indices(
+    corners: npt.NDArray[np.float64], origin: npt.NDArray[np.float64], spacing: float
+) -> npt.NDArray[np.int64]:
+    """Indices (n, d) of the lattice points in the bounding box of some cells, and a few beside."""
+    if not len(corners):
+        return np.zeros((0, len(origin)), dtype=np.int64)
+    first = np.floor((corners.min(axis=0) - origin) / spacing - 0.5).astype(np.int64)
+    last = np.ceil((corners.max(axis=0) - origin) / spacing - 0.5).astype(np.int64)
+    axes = [np.arange(i, j + 1) for i, j in zip(np.maximum(first, 0), last, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(origin))
 
 
 def _owned(
