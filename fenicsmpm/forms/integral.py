@@ -89,9 +89,12 @@ class PointIntegral:
     def table(self, source: Source) -> SlotTable:
         """Slot table of an argument or function, kept until the points move."""
         key = id(source)
+        assert source.layout is not None
         if key not in self._tables:
-            assert source.layout is not None
-            self._tables[key] = slot_table(source.layout, source.used, self.stencil, self._average)
+            table = slot_table(source.layout, source.used, self.stencil, self._average)
+            if source.used[-1:] >= source.layout.n_slots // 2:
+                return table  # averages depend on the weights, which may change at any time
+            self._tables[key] = table
         return self._tables[key]
 
     def dofs(self, source: Source, space: Any) -> npt.NDArray[np.int32]:

@@ -15,6 +15,7 @@ from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.checks import check_fields, check_input, check_positions, check_selection
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import exchange, find_cells, owners
+from fenicsmpm.points.point_field import PointField
 from fenicsmpm.points.sorting import sort_by_cell
 
 Selection: TypeAlias = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
@@ -78,6 +79,7 @@ class MaterialPoints:
 
         n = len(data["x"])
         self.version = 0
+        self._coefficients: dict[str, PointField] = {}
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)
         self._next_id = self.size_global
@@ -190,6 +192,22 @@ class MaterialPoints:
         if name in _READ_ONLY:
             raise ValueError(f"'{name}' cannot be assigned: positions are changed by move()")
         _assign(name, self[name], value)
+
+    def field(self, name: str) -> PointField:
+        """A field as a coefficient for UFL forms over these points.
+
+        Args:
+            name: Name of a field of float64 values; also "x" or "weight".
+
+        Returns:
+            The same object at each call; it reads the field's array when a form is assembled.
+
+        Raises:
+            KeyError: If there is no such field.
+        """
+        if name not in self._coefficients:
+            self._coefficients[name] = PointField(self, name)
+        return self._coefficients[name]
 
     # --- integration ----------------------------------------------------------------------------
 
