@@ -47,12 +47,18 @@ def quadrature(
         tag: Tag of the points.
 
     Raises:
-        ValueError: If there are no points at all.
+        ValueError: If there are no points at all, or the rule has weights that are not positive
+            (on tetrahedra those of degree 3, 7 and 8 are so).
     """
     if degree < 0:
         raise ValueError(f"a quadrature degree must be at least 0, not {degree}")
     geometry = cell_geometry(mesh)
     points, weights = basix.make_quadrature(geometry.cell, degree)
+    if weights.min() <= 0.0:
+        raise ValueError(
+            f"the rule of degree {degree} on a {geometry.cell.name} has the weight "
+            f"{weights.min():.3g}, but points need positive ones: take another degree"
+        )
     filled = _owned(mesh, geometry, cells)
     cell = np.repeat(filled, len(weights))
     xi = np.tile(points, (len(filled), 1))
