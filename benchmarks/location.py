@@ -80,7 +80,7 @@ def main():
                 new[order], cells[order]
             ),
         }
-        print(f"{len(mesh.geometry.dofmap)} cells ({kind.name}), tables built in {build:.2f} s")
+        print(f"{locator.geometry.num_cells} cells ({kind.name}), tables built in {build:.2f} s")
         for name, call in cases.items():
             print(f"  {name:40s} {seconds(call, args.repeat):8.3f} s")
 

@@ -8,6 +8,7 @@ import pytest
 from dolfinx import mesh as dmesh
 from dolfinx.mesh import CellType
 
+from fenicsmpm._compat import geometry_dofmap
 from fenicsmpm.points.location import Locator, locator
 
 SERIAL = MPI.COMM_SELF
@@ -40,7 +41,7 @@ def part(mesh, keep):
 def brute_force(mesh, x, tolerance=1e-10):
     """All cells that contain each point, by dolfinx's own pull-back."""
     d = mesh.geometry.dim
-    corners = mesh.geometry.x[mesh.geometry.dofmap]
+    corners = mesh.geometry.x[geometry_dofmap(mesh)]
     simplex = corners.shape[1] == d + 1
     lower, upper = corners.min(axis=1)[:, :d] - 1e-9, corners.max(axis=1)[:, :d] + 1e-9
     found = []
@@ -71,7 +72,7 @@ def check(mesh, x, hint=None):
     back = np.array(
         [
             mesh.geometry.cmap.push_forward(
-                xi[p : p + 1], mesh.geometry.x[mesh.geometry.dofmap[cell[p]]][:, : x.shape[1]]
+                xi[p : p + 1], mesh.geometry.x[geometry_dofmap(mesh)[cell[p]]][:, : x.shape[1]]
             )[0]
             for p in np.flatnonzero(found)
         ]
@@ -92,7 +93,7 @@ def test_random_points_against_brute_force(kind, distorted):
     x = np.random.default_rng(0).uniform(-0.1, 1.1, (300, mesh.geometry.dim))
     cell = check(mesh, x)
     np.testing.assert_array_equal(cell < 0, np.any((x < 0) | (x > 1), axis=1))
-    hint = np.random.default_rng(1).integers(-1, len(mesh.geometry.dofmap), len(x))
+    hint = np.random.default_rng(1).integers(-1, len(geometry_dofmap(mesh)), len(x))
     np.testing.assert_array_equal(check(mesh, x, hint.astype(np.int32)), cell)
 
 
@@ -103,7 +104,7 @@ def test_vertices_edges_and_faces_go_to_the_lowest_cell(kind, distorted):
     if distorted:
         distort(mesh)
     d = mesh.geometry.dim
-    corners = mesh.geometry.x[mesh.geometry.dofmap][:, :, :d]
+    corners = mesh.geometry.x[geometry_dofmap(mesh)][:, :, :d]
     vertices = mesh.geometry.x[:, :d]
     edges = 0.5 * (corners[:, 0] + corners[:, 1])
     facets = (
@@ -139,7 +140,7 @@ def test_any_origin_and_spacing(kind):
     vertices = np.unique(mesh.geometry.x[:, :d], axis=0)
     first = Locator(mesh).locate(vertices)[0]
     assert np.all(first >= 0)
-    last = np.full(len(vertices), len(mesh.geometry.dofmap) - 1, dtype=np.int32)
+    last = np.full(len(vertices), len(geometry_dofmap(mesh)) - 1, dtype=np.int32)
     np.testing.assert_array_equal(Locator(mesh).locate(vertices, last)[0], first)
 
 
@@ -150,7 +151,7 @@ def test_a_walk_across_a_notch(kind):
     x = np.random.default_rng(4).uniform(0, 1, (300, mesh.geometry.dim))
     cell = check(mesh, x)
     assert 0 < np.sum(cell < 0) < len(x)
-    hint = np.random.default_rng(5).integers(0, len(mesh.geometry.dofmap), len(x))
+    hint = np.random.default_rng(5).integers(0, len(geometry_dofmap(mesh)), len(x))
     np.testing.assert_array_equal(check(mesh, x, hint.astype(np.int32)), cell)
 
 
@@ -160,7 +161,7 @@ def test_two_squares_apart(kind):
     x = np.array([[0.1, 0.5], [0.9, 0.5], [0.5, 0.5], [1.0, 1.0], [1.0 / 3.0, 0.2]])
     expected = check(mesh, x)
     assert list(expected >= 0) == [True, True, False, True, True]
-    for start in range(len(mesh.geometry.dofmap)):
+    for start in range(len(geometry_dofmap(mesh))):
         hint = np.full(len(x), start, dtype=np.int32)
         np.testing.assert_array_equal(Locator(mesh).locate(x, hint)[0], expected)
 

@@ -213,9 +213,9 @@ def unsupported_meshes():
     one = MPI.COMM_SELF
     return {
         "interval": dmesh.create_unit_interval(one, 3),
-        "surface": dmesh.create_mesh(one, np.array([[0, 1, 2]]), x3, surface),
-        "degree 2": dmesh.create_mesh(one, np.array([[0, 1, 2, 3, 4, 5]]), x6, curved),
-        "prism": dmesh.create_mesh(one, np.array([[0, 1, 2, 3, 4, 5]]), xp, prism),
+        "surface": dmesh.create_mesh(one, cells=np.array([[0, 1, 2]]), x=x3, e=surface),
+        "degree 2": dmesh.create_mesh(one, cells=np.array([[0, 1, 2, 3, 4, 5]]), x=x6, e=curved),
+        "prism": dmesh.create_mesh(one, cells=np.array([[0, 1, 2, 3, 4, 5]]), x=xp, e=prism),
         "float32": dmesh.create_unit_square(one, 2, 2, dtype=np.float32),
     }
 

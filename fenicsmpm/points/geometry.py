@@ -10,11 +10,12 @@ from dolfinx.mesh import CellType, Mesh
 
 from fenicsmpm import _compat
 
+# Dimension and number of vertices of the cells that are supported.
 _CELLS = {
-    CellType.triangle: (basix.CellType.triangle, 2),
-    CellType.tetrahedron: (basix.CellType.tetrahedron, 3),
-    CellType.quadrilateral: (basix.CellType.quadrilateral, 2),
-    CellType.hexahedron: (basix.CellType.hexahedron, 3),
+    CellType.triangle: (basix.CellType.triangle, 2, 3),
+    CellType.tetrahedron: (basix.CellType.tetrahedron, 3, 4),
+    CellType.quadrilateral: (basix.CellType.quadrilateral, 2, 4),
+    CellType.hexahedron: (basix.CellType.hexahedron, 3, 8),
 }
 
 
@@ -75,32 +76,26 @@ class CellGeometry:
             ValueError: For meshes other than straight triangles, tetrahedra, quadrilaterals and
                 hexahedra that fill their space.
         """
-        topology, geometry = mesh.topology, mesh.geometry
-        if (
-            topology.cell_type not in _CELLS
-            or _CELLS[topology.cell_type][1] != geometry.dim
-            or geometry.cmap.degree != 1
-            or geometry.x.dtype != np.float64
-        ):
+        cell_type, geometry = mesh.topology.cell_type, mesh.geometry
+        nodes = _compat.geometry_dofmap(mesh)
+        self.cell, self.dim, vertices = _CELLS.get(cell_type, (None, 0, 0))
+        if (self.dim, vertices) != (geometry.dim, nodes.shape[1]) or geometry.x.dtype != np.float64:
             raise ValueError(
-                f"a mesh of unsupported cells: {topology.cell_type.name} of degree "
-                f"{geometry.cmap.degree} in {geometry.dim} dimensions, {geometry.x.dtype}; "
-                "material points need straight triangles or quadrilaterals in 2, tetrahedra or "
-                "hexahedra in 3 dimensions, in float64"
+                f"a mesh of unsupported cells: {cell_type.name} with {nodes.shape[1]} nodes in "
+                f"{geometry.dim} dimensions, {geometry.x.dtype}; material points need straight "
+                "triangles or quadrilaterals in 2, tetrahedra or hexahedra in 3 dimensions, in "
+                "float64"
             )
-        self.cell, self.dim = _CELLS[topology.cell_type]
-        self.corners = np.ascontiguousarray(
-            geometry.x[_compat.geometry_dofmap(mesh)][:, :, : self.dim]
-        )
+        self.corners = np.ascontiguousarray(geometry.x[nodes][:, :, : self.dim])
         self.coefficients = _expand(self.corners)
 
-        cells = topology.index_map(self.dim)
+        cells = mesh.topology.index_map(self.dim)
         self.num_owned = cells.size_local
         self.first_global = cells.local_range[0]
         local = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
         self.global_index = cells.local_to_global(local)
         try:
-            self.key = np.array(topology.original_cell_index, dtype=np.int64)
+            self.key = np.array(mesh.topology.original_cell_index, dtype=np.int64)
         except RuntimeError:  # meshes made from other meshes do not have it
             self.key = self.global_index
 
