@@ -35,6 +35,7 @@ class Kinematics:
         j: det f, ratio of the volumes V_{n+1} / V_n.
         F: deformation gradient f F_n, 3x3.
         J: det F.
+        J_n: det F_n, ratio of the volumes V_n / V_0.
     """
 
     def __init__(self, u: Any, points: MaterialPoints) -> None:
@@ -46,10 +47,20 @@ class Kinematics:
         if "F" in points:
             F_n = points.field("F")
             self.F = f3 * F_n
-            self.J = self.j * ufl.det(F_n)
+            self.J_n = ufl.det(F_n)
         else:
             self.F = f3
-            self.J = self.j
+            self.J_n = ufl.as_ufl(1.0)
+        self.J = self.j * self.J_n
+
+    def cofactor(self) -> Any:
+        """j f^-T, without a division: turns areas of step n and gradients times j."""
+        f = self.f
+        if f.ufl_shape == (2, 2):
+            return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
+        rows = [[f[i, k] for k in range(3)] for i in range(3)]
+        a, b, c = (ufl.as_vector(row) for row in rows)
+        return ufl.as_tensor([ufl.cross(b, c), ufl.cross(c, a), ufl.cross(a, b)])
 
     def grad(self, g: Any) -> Any:
         """Spatial gradient of a function on the background mesh, grad(g) f^-1."""

@@ -9,7 +9,7 @@ import basix.ufl
 import ufl
 
 from dolfinx import fem
-from fenicsmpm.formulations.kinematics import Kinematics, embed
+from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints
 
@@ -58,10 +58,11 @@ def mixed(
     u, p = ufl.split(U)[:2]
     w, q = ufl.split(V)[:2]
     k = Kinematics(u, points)
-    grad_w = k.grad(w)
-    stress = ufl.inner(law.deviatoric_stress(k.F), embed(grad_w)) + p * ufl.tr(grad_w)
-    constraint = volumetric_residual(p, k, law)
-    residual = k.j * (stress + constraint * q) * points.dx
+    # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w;
+    # written like this, tangents need no inverse of f and cost a fraction
+    power = ufl.derivative(law.energy(k.F, k.J) / k.J_n, U, V) + p * ufl.derivative(k.j, U, V)
+    constraint = k.j * volumetric_residual(p, k, law) * q
+    residual = (power + constraint) * points.dx
     if force is not None:
         residual -= ufl.inner(force, w) * points.dx
     return residual

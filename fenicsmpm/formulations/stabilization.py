@@ -88,8 +88,8 @@ def asgs(
     Returns:
         UFL form of rank 1.
     """
-    R_u, R_p, j = residuals(U, points, law, force)
-    return _subscales(U, V, points, law, R_u, R_p, j, c1, c2)
+    R_u, R_p, _ = residuals(U, points, law, force)
+    return _subscales(U, V, points, law, R_u, R_p, c1, c2)
 
 
 def osgs(
@@ -128,11 +128,11 @@ def osgs(
         )
     Pi_u, Pi_p = parts[2:]
     eta_u, eta_p = ufl.split(V)[2:]
-    R_u, R_p, j = residuals(U, points, law, force)
+    R_u, R_p, _ = residuals(U, points, law, force)
     projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
     fraction = FilledFraction(points)
     lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
-    subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, j, c1, c2)
+    subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2)
     return subscales + lumped - projected
 
 
@@ -153,7 +153,7 @@ def residuals(
     """
     u, p = ufl.split(U)[:2]
     k = Kinematics(u, points)
-    R_u = ufl.dot(ufl.inv(k.f).T, ufl.grad(p))
+    R_u = ufl.dot(k.cofactor(), ufl.grad(p)) / k.j
     if force is not None:
         R_u += force / k.j
     return R_u, volumetric_residual(p, k, law), k.j
@@ -161,7 +161,7 @@ def residuals(
 
 def _subscales(
     U: Any, V: Any, points: MaterialPoints, law: NeoHookean,
-    S_u: Any, S_p: Any, j: Any, c1: float, c2: float,
+    S_u: Any, S_p: Any, c1: float, c2: float,
 ) -> ufl.Form:  # fmt: skip
     """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).
 
@@ -169,10 +169,9 @@ def _subscales(
     of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q.
     """
     u, p = ufl.split(U)[:2]
-    w, q = ufl.split(V)[:2]
+    _, q = ufl.split(V)[:2]
     k = Kinematics(u, points)
     tau1, tau2 = tau(points, law, c1, c2)
-    r = k.j * ufl.dot(ufl.inv(k.f).T, ufl.grad(p))
-    adjoint_u = -ufl.derivative(r, U, V)
-    adjoint_p = k.div(w) - law.inverse_kappa * q
-    return (tau1 * ufl.inner(S_u, adjoint_u) + tau2 * j * S_p * adjoint_p) * points.dx
+    adjoint_u = -ufl.derivative(ufl.dot(k.cofactor(), ufl.grad(p)), U, V)
+    adjoint_p = ufl.derivative(k.j, U, V) - law.inverse_kappa * k.j * q
+    return (tau1 * ufl.inner(S_u, adjoint_u) + tau2 * S_p * adjoint_p) * points.dx

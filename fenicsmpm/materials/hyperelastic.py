@@ -74,13 +74,14 @@ class NeoHookean:
         """
         return VOLUMETRIC_LAWS[self.volumetric](J)
 
-    def energy(self, F: Any) -> Any:
+    def energy(self, F: Any, J: Any) -> Any:
         """Deviatoric strain energy per initial volume [J/m^3] (VMS, section 2.2).
 
         Args:
             F: deformation gradient, 3x3 UFL tensor.
+            J: its determinant.
         """
-        return self.mu / 2 * (ufl.det(F) ** (-2 / 3) * ufl.inner(F, F) - 3)
+        return self.mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3)
 
     def __repr__(self) -> str:
         """Parameters with units."""
