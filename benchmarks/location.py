@@ -63,8 +63,15 @@ def main():
     print(f"{platform.node()}, {processor()}, commit {commit()}, one core")
     print(f"{args.points} points in the unit cube, median of {args.repeat}")
     n = args.cells_per_side
-    for kind in (CellType.tetrahedron, CellType.hexahedron):
+    for kind, bent in (
+        (CellType.tetrahedron, False),
+        (CellType.hexahedron, False),
+        (CellType.hexahedron, True),
+    ):
         mesh = create_unit_cube(MPI.COMM_SELF, n, n, n, kind)
+        if bent:  # inside of the cube
+            s = np.sin(np.pi * mesh.geometry.x).prod(axis=1)
+            mesh.geometry.x[:] += 0.05 * s[:, None] * [1.0, -0.5, 0.7]
         start = time.perf_counter()
         locator = Locator(mesh)
         build = time.perf_counter() - start
@@ -80,7 +87,8 @@ def main():
                 new[order], cells[order]
             ),
         }
-        print(f"{locator.geometry.num_cells} cells ({kind.name}), tables built in {build:.2f} s")
+        name = f"bent {kind.name}" if bent else kind.name
+        print(f"{locator.geometry.num_cells} cells ({name}), tables built in {build:.2f} s")
         for name, call in cases.items():
             print(f"  {name:40s} {seconds(call, args.repeat):8.3f} s")
 

@@ -120,6 +120,22 @@ def everywhere_by(points, again):
     return everywhere(again, "x")[np.argsort(ids)]
 
 
+@pytest.mark.parametrize("mode", [dmesh.GhostMode.none, dmesh.GhostMode.shared_facet])
+@pytest.mark.parametrize("n", [1, 6])
+def test_any_ghosts_and_ranks_without_cells(mode, n):
+    """Vertices are on facets between ranks; one square leaves some of the ranks without cells."""
+    mesh = dmesh.create_unit_square(WORLD, n, n, ghost_mode=mode)
+    grid = np.linspace(0, 1, n + 1)
+    x = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    points = MaterialPoints(mesh, x if WORLD.rank == 0 else x[:0], 1.0)
+    check_consistent(points)
+    np.testing.assert_array_equal(everywhere(points, "x"), x)
+    points.move(1.0 - points.x)
+    check_consistent(points)
+    np.testing.assert_array_equal(everywhere(points, "x"), 1.0 - x)
+    np.testing.assert_allclose(quadrature(mesh, 1).volume, 1.0, rtol=1e-14)
+
+
 def test_corner_points_move_to_the_same_cell_from_anywhere():
     mesh = box(n=4, comm=MPI.COMM_SELF)
     corners = np.unique(np.round(mesh.geometry.x[:, :2], 12), axis=0)
@@ -153,6 +169,18 @@ def test_a_failed_move_changes_nothing():
     assert (points.version, points.size_global) == (version, size)
     for name, values in before.items():
         np.testing.assert_array_equal(points[name], values)
+
+
+def test_a_moved_mesh_is_noticed():
+    """Only one node, so that most ranks do not see the change themselves."""
+    mesh = box(n=8)
+    points = quadrature(mesh, 1)
+    mesh.geometry.x[np.all(mesh.geometry.x == 0.0, axis=1)] = [0.05, 0.04, 0.0]
+    with pytest.raises(ValueError, match="background mesh have moved"):
+        points.move(points.x)
+    lost = 0.5 * (0.05 + 0.04) * 0.125
+    np.testing.assert_allclose(quadrature(mesh, 1).volume, 1.0 - lost, rtol=1e-13)
+    check_consistent(quadrature(mesh, 1))
 
 
 def test_outside_raises_on_all_ranks():

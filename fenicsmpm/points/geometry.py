@@ -3,6 +3,8 @@
 
 import weakref
 
+from mpi4py import MPI
+
 import basix
 import numpy as np
 import numpy.typing as npt
@@ -86,6 +88,7 @@ class CellGeometry:
                 "triangles or quadrilaterals in 2, tetrahedra or hexahedra in 3 dimensions, in "
                 "float64"
             )
+        self._nodes = geometry.x.copy()
         self.corners = np.ascontiguousarray(geometry.x[nodes][:, :, : self.dim])
         self.coefficients = _expand(self.corners)
 
@@ -108,6 +111,10 @@ class CellGeometry:
     def num_cells(self) -> int:
         """Number of owned and ghost cells."""
         return len(self.coefficients)
+
+    def has_moved(self, mesh: Mesh) -> bool:
+        """Whether this rank's nodes of the mesh have other coordinates than when this was made."""
+        return not np.array_equal(self._nodes, mesh.geometry.x)
 
     def push_forward(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
@@ -156,7 +163,8 @@ _cache: "weakref.WeakKeyDictionary[Mesh, CellGeometry]" = weakref.WeakKeyDiction
 
 
 def cell_geometry(mesh: Mesh) -> CellGeometry:
-    """The geometry of a mesh, computed once: background meshes do not move."""
-    if mesh not in _cache:
+    """The geometry of a mesh, computed once unless the mesh was moved since. Collective."""
+    stale = mesh not in _cache or _cache[mesh].has_moved(mesh)
+    if mesh.comm.allreduce(stale, MPI.LOR):
         _cache[mesh] = CellGeometry(mesh)
     return _cache[mesh]

@@ -126,8 +126,8 @@ _cache: "weakref.WeakKeyDictionary[Mesh, Locator]" = weakref.WeakKeyDictionary()
 
 
 def locator(mesh: Mesh) -> Locator:
-    """The locator of a mesh, built once: background meshes do not move. Collective at first."""
-    if mesh not in _cache:
+    """The locator of a mesh, built once unless the mesh was moved since. Collective."""
+    if mesh not in _cache or _cache[mesh].geometry is not cell_geometry(mesh):
         _cache[mesh] = Locator(mesh)
     return _cache[mesh]
 
@@ -178,7 +178,7 @@ def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-
         c = cell[p]
         cell[p] = -1
         for _ in range(_MAX_STEPS):
-            if c < 0:
+            if c < 0 or not (simplex or _in_box(cells, x, p, c)):
                 break
             margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
             if margin > cells.tolerance[c]:

@@ -269,10 +269,16 @@ class MaterialPoints:
             x: New positions in m, shape (n, d).
 
         Raises:
-            ValueError: On all ranks, for wrong shapes and positions that are not finite.
+            ValueError: On all ranks, for wrong shapes and positions that are not finite, or if the
+                background mesh was moved.
             PointsOutsideError: On all ranks, if some position is in no cell of the mesh.
         """
         error, positions = check_positions(x, self._data["x"].shape[1], len(self))
+        if self._locator.geometry.has_moved(self.mesh):
+            error = ValueError(
+                "the nodes of the background mesh have moved since the points were located in it: "
+                "make new MaterialPoints from their positions"
+            )
         raise_together(self._comm, error)
         global_cell, cell, xi = find_cells(self._comm, self._locator, positions, self._data["cell"])
         self._data.update(x=positions, cell=cell, xi=xi)
