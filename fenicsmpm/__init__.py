@@ -1,4 +1,28 @@
 # SPDX-License-Identifier: MIT
 """Material Point Method on FEniCSx background meshes, with every weak form in UFL."""
 
+import os
+
+from mpi4py import MPI
+
+import numba
+
+from fenicsmpm import forms, formulations, io, mapping, materials, points, solvers
+from fenicsmpm.points import MaterialPoints
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "MaterialPoints",
+    "forms",
+    "formulations",
+    "io",
+    "mapping",
+    "materials",
+    "points",
+    "solvers",
+]
+
+# Ranks share the cores: unless the user says otherwise, each assembles with one thread.
+if MPI.COMM_WORLD.size > 1 and "NUMBA_NUM_THREADS" not in os.environ:
+    numba.set_num_threads(1)

@@ -92,7 +92,7 @@ class PointIntegral:
         assert source.layout is not None
         if key not in self._tables:
             table = slot_table(source.layout, source.used, self.stencil, self._average)
-            if source.used[-1:] >= source.layout.n_slots // 2:
+            if max(source.used, default=0) >= source.layout.n_slots // 2:
                 return table  # averages depend on the weights, which may change at any time
             self._tables[key] = table
         return self._tables[key]
@@ -195,11 +195,13 @@ class PointIntegral:
         for groups, points in self.batches():
             result = np.empty((groups.stop - groups.start, *n_local))
             offsets = self.offsets[groups.start : groups.stop + 1]
+            if kernel is None:
+                result[:] = 0.0
+                yield groups, result
+                continue
             common = (kernel.address, kernel.coordinates(), offsets, weights)
             inputs = self.inputs(groups, points, plain)
-            if any(len(source.used) == 0 for source in arguments):
-                result[:] = 0.0
-            elif len(arguments) == 0:
+            if len(arguments) == 0:
                 loops.element_scalars(*common, inputs, result)
             elif len(arguments) == 1:
                 (t,) = tables

@@ -53,14 +53,19 @@ class Kernel:
         return COORDINATES
 
 
-def compile_pointwise(comm: Any, lowered: PointwiseForm, jit_options: dict[str, Any]) -> Kernel:
+def compile_pointwise(comm: Any, lowered: PointwiseForm, jit_options: dict[str, Any]) -> Kernel | None:
     """Compile a lowered integrand, once for all ranks and from FFCx's cache if it is there.
 
     Args:
         comm: MPI communicator (collective).
         lowered: the pointwise form.
         jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
+
+    Returns:
+        The kernel; None for an integrand that is zero.
     """
+    if lowered.form is None:
+        return None
     options = {"cffi_extra_compile_args": COMPILE_ARGS, "timeout": 600} | jit_options
     compiled, module = _compat.compile_form(comm, lowered.form, options)
     shape = tuple(max(len(s.used), 1) for s in reversed(lowered.arguments))

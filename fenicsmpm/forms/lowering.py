@@ -38,6 +38,7 @@ from ufl.classes import (
     Restricted,
     Sum,
     Variable,
+    Zero,
 )
 from ufl.core.base_form_operator import BaseFormOperator
 from ufl.corealg.traversal import unique_post_traversal
@@ -52,8 +53,8 @@ from fenicsmpm.points.point_field import PointField
 _INTERVAL = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
 _ONE_POINT = {
     "quadrature_rule": "custom",
-    "quadrature_points": np.array([[0.5]]),
-    "quadrature_weights": np.array([1.0]),
+    "quadrature_points": ((0.5,),),
+    "quadrature_weights": (1.0,),
 }
 
 # Geometry with a value at each point ...
@@ -91,12 +92,13 @@ class PointwiseForm:
     """A lowered integrand.
 
     Attributes:
-        form: UFL form for FFCx; its arguments are (trial slots, test slots), that order.
+        form: UFL form for FFCx; its arguments are (trial slots, test slots), that order. None if
+            the integrand is zero, such as second gradients of linear functions.
         arguments: test and trial sources, in the order of argument numbers.
         inputs: all other sources; their used slots, one after the other, are the input vector.
     """
 
-    form: ufl.Form
+    form: ufl.Form | None
     arguments: list[Source]
     inputs: list[Source]
 
@@ -334,6 +336,8 @@ class _Lowering:
                 memo[node] = node
             else:
                 memo[node] = node._ufl_expr_reconstruct_(*[memo[o] for o in node.ufl_operands])
+        if isinstance(memo[expression], Zero):
+            return PointwiseForm(None, arguments, inputs)
         measure = ufl.Measure("dx", domain=_INTERVAL, metadata=_ONE_POINT)
         return PointwiseForm(memo[expression] * measure, arguments, inputs)
 

@@ -42,7 +42,8 @@ def mixed(
 ) -> ufl.Form:
     """Galerkin residual of the mixed formulation, equations 1 and 2 of VMS in weak form.
 
-    (sigma_dev, grad w) + (p, div w) - (rho b, w) + (U'(J)/kappa - p/kappa, q), per current volume.
+    (sigma_dev, grad w) + (p, div w) - (rho b, w) per current volume, and (U'(J)/kappa - p/kappa, q)
+    per volume before the step.
 
     Args:
         U: increment of displacement [m] and pressure [Pa] (mean stress, tension positive), first
@@ -61,7 +62,7 @@ def mixed(
     # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w;
     # written like this, tangents need no inverse of f and cost a fraction
     power = ufl.derivative(law.energy(k.F, k.J) / k.J_n, U, V) + p * ufl.derivative(k.j, U, V)
-    constraint = k.j * volumetric_residual(p, k, law) * q
+    constraint = volumetric_residual(p, k, law) * q
     residual = (power + constraint) * points.dx
     if force is not None:
         residual -= ufl.inner(force, w) * points.dx

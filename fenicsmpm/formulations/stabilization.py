@@ -88,7 +88,7 @@ def asgs(
     Returns:
         UFL form of rank 1.
     """
-    R_u, R_p, _ = residuals(U, points, law, force)
+    R_u, R_p = residuals(U, points, law, force)
     return _subscales(U, V, points, law, R_u, R_p, c1, c2)
 
 
@@ -128,7 +128,7 @@ def osgs(
         )
     Pi_u, Pi_p = parts[2:]
     eta_u, eta_p = ufl.split(V)[2:]
-    R_u, R_p, _ = residuals(U, points, law, force)
+    R_u, R_p = residuals(U, points, law, force)
     projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
     fraction = FilledFraction(points)
     lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
@@ -138,7 +138,7 @@ def osgs(
 
 def residuals(
     U: fem.Function, points: MaterialPoints, law: NeoHookean, force: Any = None
-) -> tuple[Any, Any, Any]:
+) -> tuple[Any, Any]:
     """Residuals of momentum and of the volumetric law, for linear elements.
 
     Args:
@@ -148,15 +148,19 @@ def residuals(
         force: body force per volume before the step [N/m^d].
 
     Returns:
-        R_u = rho b + grad p [N/m^3] and R_p = U'(J)/kappa - p/kappa [-] per current volume, and
-        the volume ratio j of the step.
+        j (rho b + grad p) per volume before the step [N/m^3], and U'(J)/kappa - p/kappa [-].
     """
     u, p = ufl.split(U)[:2]
     k = Kinematics(u, points)
-    R_u = ufl.dot(k.cofactor(), ufl.grad(p)) / k.j
+    R_u = _pressure_force(k, p)
     if force is not None:
-        R_u += force / k.j
-    return R_u, volumetric_residual(p, k, law), k.j
+        R_u += force
+    return R_u, volumetric_residual(p, k, law)
+
+
+def _pressure_force(k: Kinematics, p: Any) -> Any:
+    """j f^-T grad(p) = j times the spatial gradient of the pressure."""
+    return ufl.dot(k.cofactor(), ufl.grad(p))
 
 
 def _subscales(
@@ -166,12 +170,13 @@ def _subscales(
     """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).
 
     With r = j f^-T grad(p), the pressure term of momentum per volume before the step, the adjoint
-    of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q.
+    of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q. S_u is
+    per volume before the step, hence the division by j.
     """
     u, p = ufl.split(U)[:2]
     _, q = ufl.split(V)[:2]
     k = Kinematics(u, points)
     tau1, tau2 = tau(points, law, c1, c2)
-    adjoint_u = -ufl.derivative(ufl.dot(k.cofactor(), ufl.grad(p)), U, V)
-    adjoint_p = ufl.derivative(k.j, U, V) - law.inverse_kappa * k.j * q
-    return (tau1 * ufl.inner(S_u, adjoint_u) + tau2 * S_p * adjoint_p) * points.dx
+    adjoint_u = -ufl.derivative(_pressure_force(k, p), U, V)
+    adjoint_p = ufl.derivative(k.j, U, V) - law.inverse_kappa * q
+    return (tau1 / k.j * ufl.inner(S_u, adjoint_u) + tau2 * S_p * adjoint_p) * points.dx

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Values of UFL expressions at material points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.algorithms import extract_arguments
+
+from fenicsmpm.forms.errors import UnsupportedFormError
+from fenicsmpm.forms.form import Form
+from fenicsmpm.forms.integral import PointIntegral
+from fenicsmpm.points import MaterialPoints
+
+
+class PointExpression:
+    """A compiled UFL expression over material points.
+
+    Args:
+        expression: UFL expression without arguments, of any shape; it may use functions and
+            their gradients, point fields, constants and geometry, as in forms over points.
+        points: the point set.
+        jit_options: see ``form``.
+
+    Raises:
+        UnsupportedFormError: for an expression with arguments or parts without meaning at points.
+    """
+
+    def __init__(
+        self,
+        expression: Any,
+        points: MaterialPoints,
+        jit_options: dict[str, Any] | None = None,
+    ) -> None:
+        """Compile (collective)."""
+        expression = ufl.as_ufl(expression)
+        if extract_arguments(expression):
+            raise UnsupportedFormError(f"expression with arguments at points: {expression}")
+        self.shape = expression.ufl_shape
+        size = int(np.prod(self.shape, dtype=int))
+        # tested with one constant function a component, the kernel's rows are the components
+        element = basix.ufl.element("DG", points.mesh.basix_cell(), 0, shape=(size,))
+        test = ufl.TestFunction(ufl.FunctionSpace(points.mesh.ufl_domain(), element))
+        components = [expression[index] for index in np.ndindex(self.shape)] if self.shape else [
+            expression
+        ]
+        integrand = sum(c * test[k] for k, c in enumerate(components))
+        self._integral = PointIntegral(integrand, points, None, jit_options or {})
+
+    def evaluate(self) -> npt.NDArray[np.float64]:
+        """Values now, ``(n_points, *shape)`` in the points' storage order."""
+        integral = self._integral
+        points = integral.points
+        result = np.zeros((len(points), int(np.prod(self.shape, dtype=int))))
+        if integral.kernel is not None:
+            layout = integral.lowered.arguments[0].layout
+            assert layout is not None
+            columns = integral.lowered.arguments[0].used // layout.n_rows
+            values = integral.point_tensors()
+            result[integral.order[:, None], columns] = values
+        return result.reshape(len(points), *self.shape)
+
+
+def evaluate(expression: Any, points: MaterialPoints) -> npt.NDArray[np.float64]:
+    """Values of a UFL expression at material points.
+
+    To evaluate one expression many times, keep a ``PointExpression``.
+
+    Args:
+        expression: UFL expression without arguments.
+        points: the point set.
+
+    Returns:
+        ``(n_points, *shape)`` in storage order, to be assigned to a field of the points.
+    """
+    return PointExpression(expression, points).evaluate()
+
+
+def describe_not_finite(compiled: Form) -> str:
+    """Say at which material point an integrand of a form is not finite (collective).
+
+    Args:
+        compiled: a compiled form.
+
+    Returns:
+        One sentence with position, cell and rank of the first such point.
+    """
+    found = None
+    for integral in compiled.point_integrals:
+        if integral.kernel is None:
+            continue
+        tensors = integral.point_tensors().reshape(len(integral.rows), -1)
+        bad = np.flatnonzero(~np.isfinite(tensors).all(axis=1))
+        if len(bad) > 0 and found is None:
+            points, k = integral.points, integral.order[bad[0]]
+            found = (
+                f"the integrand is not finite at {len(bad)} points, first at point "
+                f"{points.id[k]} in cell {points.cell[k]} on rank {points.mesh.comm.rank}, "
+                f"position {np.array2string(points.x[k], precision=6)}: a deformation gradient "
+                "with a determinant <= 0 is the usual reason"
+            )
+    messages = [m for m in compiled.mesh.comm.allgather(found) if m is not None]
+    return messages[0] if messages else "the integrands over material points are finite"

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: MIT
+"""Nonlinear and linear solvers."""
+
+from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
+from fenicsmpm.solvers.load_steps import solve_in_load_steps
+from fenicsmpm.solvers.newton import NewtonError, NewtonResult, NewtonSolver
+
+__all__ = [
+    "LinearSolver",
+    "LinearSolverError",
+    "NewtonError",
+    "NewtonResult",
+    "NewtonSolver",
+    "solve_in_load_steps",
+]

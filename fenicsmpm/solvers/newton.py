@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: MIT
+"""Newton's method for forms over material points."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+
+from dolfinx import fem
+from fenicsmpm import _compat, forms
+from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
+
+logger = logging.getLogger(__name__)
+
+
+class NewtonError(RuntimeError):
+    """Newton's method failed; the unknown has its old values again.
+
+    Attributes:
+        reason: "diverged", "not finite" or "linear solver".
+        residuals: residual norms so far.
+    """
+
+    def __init__(self, reason: str, message: str, residuals: Sequence[float]) -> None:
+        """Join reason and message."""
+        super().__init__(f"Newton's method failed, {reason}: {message}")
+        self.reason = reason
+        self.residuals = list(residuals)
+
+
+@dataclass
+class NewtonResult:
+    """How a solution was found.
+
+    Attributes:
+        iterations: number of linear systems solved.
+        residuals: norm of the residual on free degrees of freedom before and after each.
+        step_lengths: factor applied to each Newton step, 1 unless the line search cut it.
+    """
+
+    iterations: int = 0
+    residuals: list[float] = field(default_factory=list)
+    step_lengths: list[float] = field(default_factory=list)
+
+
+class NewtonSolver:
+    """Newton's method with true residual norms and, if wanted, a line search.
+
+    Args:
+        R: residual, UFL form of rank 1 with integrals over points, cells or facets.
+        U: the unknown in it.
+        bcs: Dirichlet conditions.
+        J: tangent; None for ``ufl.derivative(R, U)``.
+        rtol: tolerance of the residual relative to the first one.
+        atol: absolute tolerance of the residual.
+        max_iterations: linear systems to solve at most.
+        line_search: halve a step while the residual is not finite or does not decrease.
+        petsc_options: options of the linear solver, see ``LinearSolver``.
+        jit_options: see ``forms.form``.
+        form_compiler_options: see ``forms.form``.
+
+    Attributes:
+        R: compiled residual.
+        J: compiled tangent.
+        U: the unknown.
+        bcs: Dirichlet conditions, may be replaced between solutions.
+    """
+
+    def __init__(
+        self,
+        R: ufl.Form,
+        U: fem.Function,
+        bcs: Sequence[fem.DirichletBC] = (),
+        *,
+        J: ufl.Form | None = None,
+        rtol: float = 1e-9,
+        atol: float = 1e-12,
+        max_iterations: int = 25,
+        line_search: bool = False,
+        petsc_options: dict[str, Any] | None = None,
+        jit_options: dict[str, Any] | None = None,
+        form_compiler_options: dict[str, Any] | None = None,
+    ) -> None:
+        """Compile the forms (collective)."""
+        options: dict[str, Any] = {
+            "jit_options": jit_options,
+            "form_compiler_options": form_compiler_options,
+        }
+        self.R = forms.form(R, **options)
+        self.J = forms.form(ufl.derivative(R, U) if J is None else J, **options)
+        self.U = U
+        self.bcs = list(bcs)
+        self.rtol, self.atol = rtol, atol
+        self.max_iterations = max_iterations
+        self.line_search = line_search
+        self.linear = LinearSolver(self.J.mesh.comm, petsc_options)
+        self._A = forms.petsc.create_matrix(self.J)
+        self._b = forms.petsc.create_vector(self.R)
+        self._step = forms.petsc.create_vector(self.R)
+
+    def solve(self) -> NewtonResult:
+        """Find U with R(U) = 0, starting from its present values (collective).
+
+        Returns:
+            Iterations and residual norms.
+
+        Raises:
+            NewtonError: why it failed; U then has the values that it had before.
+        """
+        start = self.U.x.array.copy()
+        result = NewtonResult()
+        try:
+            self._iterate(result)
+        except BaseException:
+            self.U.x.array[:] = start
+            raise
+        return result
+
+    def _iterate(self, result: NewtonResult) -> None:
+        norm = self._residual_norm()
+        result.residuals.append(norm)
+        self._require_finite(norm, result, "at the start")
+        reference = norm
+        logger.info("Newton       |R|          reduction  step")
+        logger.info("  %3d    %.6e", 0, norm)
+        while True:
+            gap = self._gap()
+            if norm <= max(self.atol, self.rtol * reference) and gap == 0.0:
+                return
+            if result.iterations == self.max_iterations:
+                raise NewtonError(
+                    "diverged",
+                    f"|R| = {norm:.3e} after {self.max_iterations} iterations, "
+                    f"{self.rtol * reference:.1e} wanted; try smaller load steps or line_search",
+                    result.residuals,
+                )
+            forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
+            if gap > 0.0:
+                # the constrained values are still to be reached: the step moves all of U with them
+                norm = self._lift()
+                reference = max(reference, norm)
+            try:
+                self.linear.solve(self._A, self._b, self._step)
+            except LinearSolverError as error:
+                raise NewtonError("linear solver", str(error), result.residuals) from error
+            previous, norm, length = norm, *self._advance(norm, result)
+            result.iterations += 1
+            result.residuals.append(norm)
+            result.step_lengths.append(length)
+            logger.info(
+                "  %3d    %.6e    %.1e    %g", result.iterations, norm, norm / previous, length
+            )
+
+    def _advance(self, norm: float, result: NewtonResult) -> tuple[float, float]:
+        """Take the Newton step, or as much of it as the line search allows."""
+        old = self.U.x.array.copy()
+        with self._step.localForm() as local:
+            self._step.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+            step = local.array_r.copy()
+        length = 1.0
+        while True:
+            self.U.x.array[:] = old - length * step
+            new = self._residual_norm()
+            decreased = np.isfinite(new) and new <= (1 - 1e-4 * length) * norm
+            if not self.line_search or decreased or new <= self.atol:
+                break
+            length /= 2
+            if length < 1e-3:
+                self.U.x.array[:] = old - step
+                self._require_finite(self._residual_norm(), result, "after the full step")
+                raise NewtonError(
+                    "diverged",
+                    f"no step length down to {length * 2:g} decreases |R| = {norm:.3e}",
+                    result.residuals,
+                )
+        self._require_finite(new, result, f"in iteration {result.iterations + 1}")
+        return new, length
+
+    def _residual_norm(self) -> float:
+        """Assemble R(U) into b; constrained entries become U - g, which the norm leaves out."""
+        b = self._b
+        with b.localForm() as local:
+            local.set(0.0)
+        forms.petsc.assemble_vector(self.R, b)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        zero = np.zeros_like(b.array_r)
+        for bc in self.bcs:
+            _compat.bc_set(bc, b.array_w, zero, 0.0)
+        norm = b.norm()
+        for bc in self.bcs:
+            _compat.bc_set(bc, b.array_w, self.U.x.array[: len(zero)], -1.0)
+        return norm
+
+    def _gap(self) -> float:
+        """Largest difference of U from its Dirichlet data, over all ranks."""
+        owned = len(self._b.array_r)
+        gap = np.zeros(owned)
+        for bc in self.bcs:
+            _compat.bc_set(bc, gap, self.U.x.array[:owned], 1.0)
+        scale = max(1.0, float(np.max(np.abs(self.U.x.array), initial=0.0)))
+        local = float(np.max(np.abs(gap), initial=0.0))
+        comm = self.J.mesh.comm
+        return max(comm.allgather(local if local > 1e-14 * scale else 0.0))
+
+    def _lift(self) -> float:
+        """Assemble b again for a step that ends on the Dirichlet data; norm on free dofs."""
+        b = self._b
+        with b.localForm() as local:
+            local.set(0.0)
+        forms.petsc.assemble_vector(self.R, b)
+        x = self.U.x.array
+        with b.localForm() as local:
+            forms.apply_lifting(local.array_w, [self.J], [self.bcs], [x], -1.0)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        zero = np.zeros_like(b.array_r)
+        for bc in self.bcs:
+            _compat.bc_set(bc, b.array_w, zero, 0.0)
+        norm = b.norm()
+        for bc in self.bcs:
+            _compat.bc_set(bc, b.array_w, x[: len(zero)], -1.0)
+        return norm
+
+    def _require_finite(self, norm: float, result: NewtonResult, when: str) -> None:
+        if not np.isfinite(norm):
+            where = forms.describe_not_finite(self.R)
+            raise NewtonError("not finite", f"|R| = {norm} {when}; {where}", result.residuals)
