@@ -93,8 +93,8 @@ def describe_not_finite(compiled: Form) -> str:
     for integral in compiled.point_integrals:
         if integral.kernel is None:
             continue
-        tensors = integral.point_tensors().reshape(len(integral.rows), -1)
-        bad = np.flatnonzero(~np.isfinite(tensors).all(axis=1))
+        tensors = integral.point_tensors()
+        bad = np.flatnonzero(~np.isfinite(tensors).all(axis=tuple(range(1, tensors.ndim))))
         if len(bad) > 0 and found is None:
             points, k = integral.points, integral.order[bad[0]]
             found = (

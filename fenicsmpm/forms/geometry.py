@@ -44,7 +44,7 @@ def geometry_values(
             values = np.linalg.inv(jacobian)
         else:
             values = np.linalg.det(jacobian)
-        return values.reshape(len(rows), -1)
+        return values.reshape(len(rows), int(np.prod(values.shape[1:], dtype=int)))
     return cell_values(quantity, points.mesh)[points.cell[order]].reshape(-1, 1)
 
 

@@ -134,7 +134,7 @@ class PointIntegral:
                     f"field {item.name!r} of another point set in an integral over "
                     f"{self.points!r}: use a field of the same points"
                 )
-            values = item.values[self.order].reshape(len(self.order), -1)
+            values = item.values[self.order].reshape(len(self.order), source.size // 2)
         else:
             values = geometry_values(item, self.stencil, self.points, self.rows, self.order)
         size = source.size // 2

@@ -197,7 +197,7 @@ def slot_table(
             ]
             derivatives = next(k for k in range(3) if max(same, default=0) < first_rows[k])
             table = stencil.table(element, derivatives)
-            block = table.reshape(len(table), -1)
+            block = table.reshape(len(table), table.shape[1] * element.dim)
             blocks.append(average(block) if key[1] else block)
             block_column[key] = width
             width += block.shape[1]
