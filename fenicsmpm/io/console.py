@@ -1,16 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""What a person reads while a program runs: log lines and progress bars, on rank 0 only."""
+"""What a person reads while a program runs: log, tables and progress bars, on rank 0 only."""
 
 from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from mpi4py import MPI
 
 from tqdm import tqdm
+
+
+class _BesideBars(logging.Handler):
+    """Writes log lines to standard output without tearing a progress bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        tqdm.write(self.format(record))
 
 
 def show_log(level: int | str = logging.INFO) -> None:
@@ -21,11 +29,21 @@ def show_log(level: int | str = logging.INFO) -> None:
     """
     logger = logging.getLogger("fenicsmpm")
     logger.setLevel(level)
-    if MPI.COMM_WORLD.rank == 0 and not logger.handlers:
-        handler = logging.StreamHandler(sys.stdout)
-        handler.setFormatter(logging.Formatter("%(message)s"))
-        logger.addHandler(handler)
     logger.propagate = False
+    if not logger.handlers:
+        # without any handler, Python itself would print warnings of the other ranks
+        on_root = MPI.COMM_WORLD.rank == 0
+        logger.addHandler(_BesideBars() if on_root else logging.NullHandler())
+
+
+def say(text: str = "") -> None:
+    """Print a text on rank 0, without tearing a progress bar.
+
+    Args:
+        text: what to print.
+    """
+    if MPI.COMM_WORLD.rank == 0:
+        tqdm.write(text)
 
 
 def progress(
@@ -42,3 +60,40 @@ def progress(
     visible = show and MPI.COMM_WORLD.rank == 0 and sys.stderr.isatty()
     with tqdm(items, desc=label, total=total, disable=not visible, leave=False) as bar:
         yield from bar
+
+
+class Table:
+    """A table that is printed row by row, on rank 0, with aligned columns.
+
+    Args:
+        columns: title of each column and format of its numbers, such as ``{"tip [m]": ".4f"}``;
+            titles carry the units.
+    """
+
+    def __init__(self, columns: Mapping[str, str]) -> None:
+        """Print the titles."""
+        self._columns = dict(columns)
+        line = "  ".join(title.rjust(self._width(title)) for title in self._columns)
+        say(line)
+        say("-" * len(line))
+
+    def row(self, *values: Any) -> None:
+        """Print a row.
+
+        Args:
+            values: one for each column; None for a dash, text as it is.
+
+        Raises:
+            ValueError: if there are more or fewer values than columns.
+        """
+        if len(values) != len(self._columns):
+            raise ValueError(f"{len(values)} values for {len(self._columns)} columns: {values}")
+        cells = []
+        for value, (title, spec) in zip(values, self._columns.items(), strict=True):
+            text = "-" if value is None else value if isinstance(value, str) else f"{value:{spec}}"
+            cells.append(text.rjust(self._width(title)))
+        say("  ".join(cells))
+
+    @staticmethod
+    def _width(title: str) -> int:
+        return max(len(title), 9)

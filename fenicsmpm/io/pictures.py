@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: MIT
+"""Pictures of points and grid functions, rendered by pyvista without a window."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.points.agreement import raise_together
+
+if TYPE_CHECKING:  # it takes a second to import: only where it is needed
+    import pyvista
+
+_COLOURS = "viridis"
+_PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
+_INCHES = 3.75  # the same on paper
+
+
+@dataclass
+class Panel:
+    """One field in one picture.
+
+    Attributes:
+        data: what ``gather_points`` or ``gather_functions`` returned; None on ranks other than 0.
+        field: name of the field that gives the colours; of vectors and tensors it is the norm.
+        title: text above.
+        component: component to show instead of the norm, of 3 of a vector or 9 of a tensor.
+        displacement: name of a vector field [m] by which the picture is deformed; None for the
+            positions as they are.
+    """
+
+    data: pyvista.DataSet | None
+    field: str
+    title: str = ""
+    component: int | None = None
+    displacement: str | None = None
+
+    def values(self) -> npt.NDArray[np.float64]:
+        """Numbers to be coloured, one a point or node; on rank 0 only.
+
+        Raises:
+            ValueError: for fields that the data do not have.
+        """
+        assert self.data is not None
+        if self.field not in self.data.point_data:
+            raise ValueError(_unknown(self.field, self.data))
+        values = np.asarray(self.data.point_data[self.field], dtype=np.float64)
+        if values.ndim == 1:
+            return values
+        if self.component is None:
+            return np.linalg.norm(values, axis=1)
+        return values[:, self.component]
+
+
+def _unknown(name: str, data: pyvista.DataSet) -> str:
+    return f"no field {name!r} to draw; there are {', '.join(data.point_data.keys())}"
+
+
+def colour_range(panels: Sequence[Panel], cut: float = 0.0) -> tuple[float, float] | None:
+    """Range of values of some panels.
+
+    Args:
+        panels: the panels.
+        cut: percent of the values of each panel left out at either end, so that singular points
+            do not take all the colours.
+
+    Returns:
+        Lowest and highest value on rank 0, None on the other ranks.
+    """
+    if panels[0].data is None:
+        return None
+    ends = np.array([np.percentile(panel.values(), [cut, 100 - cut]) for panel in panels])
+    return float(ends[:, 0].min()), float(ends[:, 1].max())
+
+
+def picture(
+    path: str | Path,
+    panels: Sequence[Panel],
+    label: str,
+    *,
+    limits: tuple[float, float] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> None:
+    """Draw panels beside one another with one colour bar and write them to a file (collective).
+
+    Plane problems are seen from the front with axes in m, others obliquely. Rank 0 draws. Where
+    VTK needs an X server and there is none, a virtual one (Xvfb) runs while it draws.
+
+    Args:
+        path: file to write, such as "pressure.png"; missing directories are made.
+        panels: what to draw.
+        label: text beside the colour bar, with the unit.
+        limits: values of the first and the last colour; None for the range of all panels.
+        comm: communicator of the mesh.
+
+    Raises:
+        RuntimeError: on all ranks, if nothing can render; says what to install.
+        ValueError: on all ranks, for fields that the data do not have.
+    """
+    error: Exception | None = None
+    if panels[0].data is not None:
+        try:
+            with _display():
+                _draw(Path(path), panels, label, limits or colour_range(panels))
+        except (OSError, RuntimeError, ValueError) as failure:
+            error = failure
+    raise_together(comm, error)
+
+
+def _draw(
+    path: Path, panels: Sequence[Panel], label: str, limits: tuple[float, float] | None
+) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    assert limits is not None
+    shapes = [_shape(panel) for panel in panels]
+    lower = np.min([shape.points.min(axis=0) for shape in shapes], axis=0)
+    upper = np.max([shape.points.max(axis=0) for shape in shapes], axis=0)
+    margin = 0.02 * float((upper - lower).max())
+    plane = bool(lower[2] == upper[2])
+    lower, upper = lower - margin, upper + margin
+    images = [
+        (_image_of_plane if plane else _image_of_space)(shape, panel.values(), limits, lower, upper)
+        for shape, panel in zip(shapes, panels, strict=True)
+    ]
+    extent = (lower[0], upper[0], lower[1], upper[1]) if plane else None
+
+    height, width = np.max([image.shape[:2] for image in images], axis=0)
+    inches = _INCHES / max(height, width)
+    columns = len(panels) if len(panels) <= 4 else int(np.ceil(np.sqrt(len(panels))))
+    rows = -(-len(panels) // columns)
+    size = (columns * (width * inches + 0.15) + 1.5, rows * (height * inches + 0.4) + 0.5)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=plane, sharey=plane).ravel()
+    for ax in axes[len(panels) :]:
+        ax.remove()
+    for ax, panel, image in zip(axes, panels, images, strict=False):
+        ax.set_title(panel.title)
+        ax.imshow(image, extent=extent, interpolation="antialiased")
+        if extent is None:
+            ax.set_axis_off()
+        else:
+            ax.set_xlabel("x [m]")
+            ax.set_ylabel("y [m]")
+            ax.label_outer()
+    colours = ScalarMappable(Normalize(*limits), _COLOURS)
+    figure.colorbar(colours, ax=list(axes[: len(panels)]), label=label, extend=_cut(panels, limits))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=160)
+
+
+def _cut(panels: Sequence[Panel], limits: tuple[float, float]) -> str:
+    """Which ends of the colour bar stand for values beyond it."""
+    low, high = colour_range(panels) or limits
+    span = 1e-9 * (limits[1] - limits[0])
+    below, above = low < limits[0] - span, high > limits[1] + span
+    return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[(below, above)]
+
+
+def _shape(panel: Panel) -> Any:
+    """Points or cells of a panel without data, in the positions to be drawn."""
+    assert panel.data is not None
+    shape = panel.data.copy(deep=False)
+    shape.clear_data()
+    if panel.displacement is not None:
+        if panel.displacement not in panel.data.point_data:
+            raise ValueError(_unknown(panel.displacement, panel.data))
+        shape.points = shape.points + panel.data.point_data[panel.displacement]
+    return shape
+
+
+def _image_of_plane(
+    shape: Any,
+    values: npt.NDArray[np.float64],
+    limits: tuple[float, float],
+    lower: npt.NDArray[np.float64],
+    upper: npt.NDArray[np.float64],
+) -> npt.NDArray[np.uint8]:
+    """Image of exactly the box from lower to upper, seen from the front."""
+    size = (upper - lower)[:2]
+    scale = _PIXELS / size.max()  # pixels a m
+    window = [max(1, round(s)) for s in scale * size]
+    with _plotter(shape, values, limits, window, scale * _spacing(shape), False) as plotter:
+        plotter.view_xy()
+        centre = (lower + upper) / 2
+        plotter.camera.focal_point = centre
+        plotter.camera.position = centre + [0, 0, size.max()]
+        plotter.camera.parallel_scale = size[1] / 2
+        return np.asarray(plotter.screenshot(return_img=True))
+
+
+def _image_of_space(
+    shape: Any,
+    values: npt.NDArray[np.float64],
+    limits: tuple[float, float],
+    lower: npt.NDArray[np.float64],
+    upper: npt.NDArray[np.float64],
+) -> npt.NDArray[np.uint8]:
+    """Image of the box from lower to upper, seen obliquely, without its white margins."""
+    across = float(np.linalg.norm(upper - lower))
+    scale = _PIXELS / across
+    window = [_PIXELS, _PIXELS]
+    with _plotter(shape, values, limits, window, scale * _spacing(shape), True) as plotter:
+        plotter.add_axes()
+        plotter.view_isometric()
+        centre = (lower + upper) / 2
+        plotter.camera.focal_point = centre
+        plotter.camera.position = centre + across * np.ones(3)
+        plotter.camera.parallel_scale = across / 2
+        plotter.reset_camera_clipping_range()
+        image = np.asarray(plotter.screenshot(return_img=True))
+    drawn = np.argwhere((image < 255).any(axis=2))
+    (top, left), (bottom, right) = drawn.min(axis=0), drawn.max(axis=0)
+    return image[top : bottom + 1, left : right + 1]
+
+
+@contextmanager
+def _plotter(
+    shape: Any,
+    values: npt.NDArray[np.float64],
+    limits: tuple[float, float],
+    window: list[int],
+    point_size: float,
+    lighting: bool,
+) -> Iterator[Any]:
+    """A plotter with the coloured shape in it, in parallel projection."""
+    import pyvista
+
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=window)
+    try:
+        plotter.set_background("white")
+        plotter.add_mesh(
+            shape,
+            scalars=values,
+            clim=limits,
+            cmap=_COLOURS,
+            show_scalar_bar=False,
+            lighting=lighting,
+            ambient=0.4 if lighting else 0.0,
+            diffuse=0.6 if lighting else 1.0,
+            point_size=max(2.0, 0.75 * point_size),
+            render_points_as_spheres=True,
+        )
+        plotter.enable_parallel_projection()
+        yield plotter
+    finally:
+        plotter.close()
+
+
+def _spacing(shape: Any) -> float:
+    """Distance of neighbours [m], if the box around the points were full of them."""
+    size = np.ptp(shape.points, axis=0)
+    size = size[size > 0]
+    return float((np.prod(size) / shape.n_points) ** (1 / len(size))) if len(size) else 0.0
+
+
+@contextmanager
+def _display() -> Iterator[None]:
+    """Run a virtual X server meanwhile, if VTK needs one and there is none."""
+    if os.environ.get("DISPLAY") or not _needs_x_server():
+        yield
+        return
+    command = shutil.which("Xvfb")
+    if command is None:
+        raise RuntimeError(
+            "pictures cannot be rendered: this VTK draws on X only, DISPLAY is not set, and there "
+            "is no Xvfb. Install Xvfb (Debian: apt install xvfb) or VTK >= 9.4 from PyPI"
+        )
+    read, write = os.pipe()
+    # the shell ends the server when its input ends: then we are done, or were killed
+    options = f"-displayfd {write} -screen 0 1280x1024x24 -nolisten tcp -noreset"
+    server = subprocess.Popen(
+        ["sh", "-c", f"'{command}' {options} & read _; kill $!; wait"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        pass_fds=[write],
+        start_new_session=True,
+    )
+    os.close(write)
+    try:
+        with os.fdopen(read) as answer:
+            number = answer.readline().strip()
+        if not number:
+            raise RuntimeError(f"pictures cannot be rendered: {command} does not start")
+        os.environ["DISPLAY"] = f":{number}"
+        yield
+    finally:
+        os.environ.pop("DISPLAY", None)
+        server.communicate()
+
+
+def _needs_x_server() -> bool:
+    """Whether VTK was built for X and cannot do without: from 9.4 on it finds other ways."""
+    import pyvista
+    import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  # brings the class that draws
+    from vtkmodules.vtkRenderingCore import vtkRenderWindow
+
+    if pyvista.vtk_version_info >= (9, 4):
+        return False
+    return vtkRenderWindow().GetClassName() == "vtkXOpenGLRenderWindow"

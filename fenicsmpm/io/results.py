@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""Results on rank 0 and in files: points and grid functions as pyvista datasets.
+
+``gather_points`` and ``gather_functions`` collect what the ranks have in one dataset; ``write``
+saves it for ParaView, ``picture`` draws it. A dataset does not depend on the number of ranks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, plot
+
+import fenicsmpm
+from fenicsmpm import _compat
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
+
+if TYPE_CHECKING:  # it takes a second to import: only where it is needed
+    import pyvista
+
+
+def gather_points(points: MaterialPoints) -> pyvista.PolyData | None:
+    """Collect material points with all their fields (collective).
+
+    Args:
+        points: the point set.
+
+    Returns:
+        On rank 0 the points in the order of their ids, with the point data "id", "tag", "weight"
+        and all fields; vectors have three components and tensors nine (row by row), as ParaView
+        expects them. None on the other ranks.
+    """
+    names = ["x", "id", "tag", "weight", *points.field_names]
+    parts = points.mesh.comm.gather({name: np.asarray(points[name]) for name in names})
+    if parts is None:
+        return None
+    import pyvista
+
+    data = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    order = np.argsort(data["id"])
+    result = pyvista.PolyData(_in_space(data.pop("x")[order]))
+    for name, values in data.items():
+        result.point_data[name] = _in_space(values[order])
+    return result
+
+
+def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredGrid | None:
+    """Collect P1 functions and their mesh (collective).
+
+    Args:
+        functions: Lagrange functions of degree 1 (or Q1) on one mesh of straight cells; parts of
+            a mixed function are to be collapsed first.
+
+    Returns:
+        On rank 0 the mesh in its input order, each function as point data under its name; vectors
+        have three components. None on the other ranks.
+
+    Raises:
+        ValueError: for other spaces, several meshes, or names that occur twice.
+    """
+    mesh = _check_functions(functions)
+    nodes = mesh.geometry.input_global_indices
+    cells, types, x = plot.vtk_mesh(mesh)
+    cells = cells.reshape(len(types), -1).astype(np.int64)
+    cells[:, 1:] = nodes[cells[:, 1:]]
+    order = np.asarray(mesh.topology.original_cell_index)[: len(types)]
+    values = {f.name: _at_nodes(f) for f in functions}
+    parts = mesh.comm.gather((nodes, x, order, cells, types, values))
+    if parts is None:
+        return None
+    import pyvista
+
+    columns = list(zip(*parts, strict=True))
+    nodes, x, order, cells, types = (np.concatenate(column) for column in columns[:5])
+    nodes, first = np.unique(nodes, return_index=True)
+    by_input = np.argsort(order)
+    cells = cells[by_input]
+    cells[:, 1:] = np.searchsorted(nodes, cells[:, 1:])
+    result = pyvista.UnstructuredGrid(cells.ravel(), types[by_input], x[first])
+    for name in values:
+        result.point_data[name] = _in_space(np.concatenate([v[name] for v in columns[5]])[first])
+    return result
+
+
+def write(
+    path: str | Path,
+    data: pyvista.DataSet | None,
+    parameters: Mapping[str, Any] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> None:
+    """Write a gathered dataset for ParaView: ".vtp" for points, ".vtu" for a mesh (collective).
+
+    The package's version and the parameters are stored in it as field data.
+
+    Args:
+        path: name of the file; missing directories are made.
+        data: what ``gather_points`` or ``gather_functions`` returned.
+        parameters: numbers and texts that made the result, such as ``{"E [Pa]": 70.0}``.
+        comm: communicator of the mesh.
+
+    Raises:
+        OSError: on all ranks, if the file cannot be written.
+        ValueError: on all ranks, if the suffix does not fit the data.
+    """
+    error: Exception | None = None
+    if data is not None:
+        try:
+            _save(Path(path), data, parameters or {})
+        except (OSError, ValueError) as failure:
+            error = failure
+    raise_together(comm, error)
+
+
+def _save(path: Path, data: pyvista.DataSet, parameters: Mapping[str, Any]) -> None:
+    import pyvista
+
+    suffix = ".vtp" if isinstance(data, pyvista.PolyData) else ".vtu"
+    if path.suffix != suffix:
+        raise ValueError(f"{path}: the name of a file of {type(data).__name__} ends in {suffix}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data = data.copy(deep=False)
+    data.field_data["fenicsmpm version"] = [fenicsmpm.__version__]
+    for name, value in parameters.items():
+        data.field_data[name] = [value if isinstance(value, bool | int | float) else str(value)]
+    data.save(path)
+    if not path.exists():  # VTK says so on standard error only
+        raise OSError(f"{path} could not be written")
+
+
+def _check_functions(functions: Sequence[fem.Function]) -> Any:
+    if not functions:
+        raise ValueError("no functions to gather")
+    mesh = functions[0].function_space.mesh
+    names = [f.name for f in functions]
+    if len(set(names)) != len(names):
+        raise ValueError(f"functions need names of their own, not {', '.join(names)}: set f.name")
+    for f in functions:
+        element = f.function_space.ufl_element()
+        if element.degree != 1 or element.family_name not in ("P", "Q", "Lagrange"):
+            raise ValueError(
+                f"function {f.name!r} is not P1 but {element}: interpolate it to P1, or collapse "
+                "the part of a mixed function"
+            )
+        if f.function_space.mesh is not mesh and f.function_space.mesh != mesh:
+            raise ValueError(f"function {f.name!r} is on another mesh than {names[0]!r}")
+    if mesh.geometry.cmap.degree != 1:
+        raise ValueError("only meshes of straight cells can be gathered")
+    return mesh
+
+
+def _at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
+    """Values at the local geometry nodes, (n_nodes,) or (n_nodes, components)."""
+    space = f.function_space
+    nodes = _compat.geometry_dofmap(space.mesh)
+    size = space.dofmap.index_map_bs
+    values = np.zeros((len(space.mesh.geometry.x), size))
+    values[nodes.ravel()] = f.x.array.reshape(-1, size)[space.dofmap.list.ravel()]
+    return values if f.ufl_shape else values[:, 0]
+
+
+def _in_space(values: npt.NDArray) -> npt.NDArray:
+    """Vectors and tensors of the plane as those of space, tensors flattened."""
+    for axis in range(1, values.ndim):
+        if values.shape[axis] == 2:
+            values = np.insert(values, 2, 0.0, axis=axis)
+    return values if values.ndim == 1 else values.reshape(len(values), -1)
