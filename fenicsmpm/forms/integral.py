@@ -13,7 +13,7 @@ import ufl
 
 from dolfinx import fem
 from fenicsmpm.basis import stencil_of
-from fenicsmpm.forms import loops
+from fenicsmpm.forms import linear_loops, loops
 from fenicsmpm.forms.geometry import geometry_values
 from fenicsmpm.forms.kernels import compile_pointwise
 from fenicsmpm.forms.lowering import Source, lower
@@ -74,11 +74,16 @@ class PointIntegral:
         self.groups = np.flatnonzero(np.diff(counts)).astype(np.int32)
         self.offsets = np.append(counts[self.groups], len(self.rows)).astype(np.int64)
         self.order = order[self.rows]
+        self._is_sorted = np.array_equal(self.order, np.arange(len(self.points)))
+
+    def _in_group_order(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Rows of the selected points; no copy where points are stored in group order."""
+        return values if self._is_sorted else values[self.order]
 
     @property
     def weights(self) -> npt.NDArray[np.float64]:
         """``(n,)`` weights of the selected points in group order."""
-        return self.points.weight[self.order]
+        return self._in_group_order(self.points.weight)
 
     def _average(self, table: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Average full table rows over the selected points of each group."""
@@ -134,14 +139,14 @@ class PointIntegral:
                     f"field {item.name!r} of another point set in an integral over "
                     f"{self.points!r}: use a field of the same points"
                 )
-            values = item.values[self.order].reshape(len(self.order), source.size // 2)
+            values = self._in_group_order(item.values).reshape(len(self.order), source.size // 2)
         else:
             values = geometry_values(item, self.stencil, self.points, self.rows, self.order)
         size = source.size // 2
         if source.used[-1] >= size:
             mean = loops.average_groups(values, self.weights, self.offsets)
             values = np.hstack([values, mean])
-        return values[:, source.used]
+        return values if len(source.used) == values.shape[1] else values[:, source.used]
 
     def inputs(
         self,
@@ -190,6 +195,15 @@ class PointIntegral:
         weights = self.weights
         arguments = self.lowered.arguments
         tables = [self.table(source) for source in arguments]
+        values = [source.layout.value_slots(source.used) for source in arguments if source.layout]
+        linear = all(v is not None for v in values)
+        x = self._in_group_order(self.points.x)
+        if linear:
+            dim = x.shape[1]
+            pairs = zip(tables, values, strict=True)
+            slots = [a for t, v in pairs for a in linear_loops.with_moments(t, v, dim)]
+        else:
+            slots = [a for t in tables for a in (t.basis, t.column, t.length, t.start)]
         n_local = [len(source.layout.dof_order) for source in arguments if source.layout]
         kernel = self.kernel
         for groups, points in self.batches():
@@ -203,21 +217,13 @@ class PointIntegral:
             inputs = self.inputs(groups, points, plain)
             if len(arguments) == 0:
                 loops.element_scalars(*common, inputs, result)
-            elif len(arguments) == 1:
-                (t,) = tables
-                loops.element_vectors(
-                    *common, self.rows, inputs, t.basis, t.column, t.length, t.start, result
-                )
+            elif linear:
+                matrix = len(arguments) == 2
+                element = linear_loops.element_matrices if matrix else linear_loops.element_vectors
+                element(*common, self.rows, inputs, x, *values, *slots, result)
             else:
-                t0, t1 = tables
-                loops.element_matrices(
-                    *common,
-                    self.rows,
-                    inputs,
-                    *(t0.basis, t0.column, t0.length, t0.start),
-                    *(t1.basis, t1.column, t1.length, t1.start),
-                    result,
-                )
+                element = loops.element_matrices if len(arguments) == 2 else loops.element_vectors
+                element(*common, self.rows, inputs, *slots, result)
             yield groups, result
 
     def point_tensors(self) -> npt.NDArray[np.float64]:

@@ -88,11 +88,7 @@ def element_vectors(
                 inputs[k - offsets[0]].ctypes.data,
                 coordinates.ctypes.data,
             )
-            row = basis[rows[k]]
-            for s in range(n_slots):
-                factor = weights[k] * tensor[s]
-                for a in range(length[s]):
-                    result[i, start[s] + a] += factor * row[column[s] + a]
+            contract_vector(tensor, weights[k], basis[rows[k]], column, length, start, result[i])
 
 
 @numba.njit(cache=True, parallel=True)
@@ -118,11 +114,9 @@ def element_matrices(
     The kernel's output is D transposed: ``tensor[trial slot, test slot]``.
     """
     n0, n1 = len(column0), len(column1)
-    n_trial = result.shape[2]
     for i in numba.prange(len(offsets) - 1):
         tensor = np.empty((n1, n0))
-        half = np.empty((n_trial, n0))  # (D B1)^T
-        line = np.empty(n_trial)
+        half = np.empty((result.shape[2], n0))
         result[i] = 0.0
         for k in range(offsets[i], offsets[i + 1]):
             tensor[:] = 0.0
@@ -134,21 +128,40 @@ def element_matrices(
             )
             row0 = basis0[rows[k]]
             row1 = basis1[rows[k]]
-            half[:] = 0.0
-            for t in range(n1):
-                for b in range(length1[t]):
-                    factor = row1[column1[t] + b]
-                    target = half[start1[t] + b]
-                    for s in range(n0):
-                        target[s] += factor * tensor[t, s]
+            contract_matrix(
+                tensor, weights[k], row0, column0, length0, start0,
+                row1, column1, length1, start1, half, result[i],
+            )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def contract_vector(tensor, weight, row, column, length, start, result):
+    """result += weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
+    for s in range(len(column)):
+        factor = weight * tensor[s]
+        for a in range(length[s]):
+            result[start[s] + a] += factor * row[column[s] + a]
+
+
+@numba.njit(cache=True)
+def contract_matrix(
+    tensor, weight, row0, column0, length0, start0, row1, column1, length1, start1, half, result
+):
+    """result += weight B0^T D B1 with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
+    n0 = len(column0)
+    half[:] = 0.0
+    for t in range(len(column1)):
+        for b in range(length1[t]):
+            factor = weight * row1[column1[t] + b]
+            target = half[start1[t] + b]
             for s in range(n0):
-                for j in range(n_trial):
-                    line[j] = weights[k] * half[j, s]
-                for a in range(length0[s]):
-                    factor = row0[column0[s] + a]
-                    target = result[i, start0[s] + a]
-                    for j in range(n_trial):
-                        target[j] += factor * line[j]
+                target[s] += factor * tensor[t, s]
+    for s in range(n0):
+        for a in range(length0[s]):
+            factor = row0[column0[s] + a]
+            target = result[start0[s] + a]
+            for j in range(len(target)):
+                target[j] += factor * half[j, s]
 
 
 @numba.njit(cache=True)

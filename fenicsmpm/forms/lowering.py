@@ -45,7 +45,7 @@ from ufl.corealg.traversal import unique_post_traversal
 
 from dolfinx import fem
 from fenicsmpm.forms.errors import UnsupportedFormError
-from fenicsmpm.forms.slots import Layout
+from fenicsmpm.forms.slots import SIMPLICES, Layout
 from fenicsmpm.points.point_field import PointField
 
 # The pointwise form lives on an interval that is only an excuse to compile it: with coordinates
@@ -358,7 +358,7 @@ def _as_tensor(components: npt.NDArray[np.object_]) -> Any:
 
 
 def _is_simplex(element: Any) -> bool:
-    return element.cell_type.name in ("interval", "triangle", "tetrahedron")
+    return element.cell_type.name in SIMPLICES
 
 
 def _is_uniform(expression: Any) -> bool:

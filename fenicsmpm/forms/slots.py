@@ -20,6 +20,9 @@ from fenicsmpm.basis.stencil import PointStencil, derivative_rows
 from fenicsmpm.forms.errors import UnsupportedFormError
 
 
+SIMPLICES = ("interval", "triangle", "tetrahedron")
+
+
 @dataclass(frozen=True)
 class Leaf:
     """Components of a space that share one scalar element.
@@ -118,6 +121,20 @@ class Layout:
         return len(self.component_leaf)
 
     @property
+    def is_linear(self) -> bool:
+        """Whether all functions are linear within a cell."""
+        elements = [leaf.element for leaf in self.leaves]
+        return all(e.degree <= 1 and e.cell_type.name in SIMPLICES for e in elements)
+
+    def value_slots(self, used: npt.NDArray[np.int64]) -> npt.NDArray[np.int64] | None:
+        """Positions of the value slots within the used ones of linear functions.
+
+        None if the functions are not linear, or if there are averages among the slots.
+        """
+        average = max(used, default=0) >= self.n_slots // 2
+        return np.flatnonzero(used % self.n_rows == 0) if self.is_linear and not average else None
+
+    @property
     def n_slots(self) -> int:
         """Number of slots, averaged ones included."""
         return 2 * self.n_components * self.n_rows
@@ -195,7 +212,9 @@ def slot_table(
                 if layout.component_leaf[components[j]].element == element
                 and bool(averaged[j]) == key[1]
             ]
-            derivatives = next(k for k in range(3) if max(same, default=0) < first_rows[k])
+            derivatives = next(k for k in range(3) if max(same) < first_rows[k])
+            if layout.is_linear:
+                derivatives = 1  # see linear_loops
             table = stencil.table(element, derivatives)
             block = table.reshape(len(table), table.shape[1] * element.dim)
             blocks.append(average(block) if key[1] else block)
