@@ -142,7 +142,7 @@ def _draw(
     inches = _INCHES / max(height, width)
     columns = len(panels) if len(panels) <= 4 else int(np.ceil(np.sqrt(len(panels))))
     rows = -(-len(panels) // columns)
-    size = (columns * (width * inches + 0.15) + 1.5, rows * (height * inches + 0.4) + 0.5)
+    size = (columns * (width * inches + 0.15) + 1.2, rows * (height * inches + 0.4) + 0.5)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=plane, sharey=plane).ravel()
     for ax in axes[len(panels) :]:
@@ -157,7 +157,13 @@ def _draw(
             ax.set_ylabel("y [m]")
             ax.label_outer()
     colours = ScalarMappable(Normalize(*limits), _COLOURS)
-    figure.colorbar(colours, ax=list(axes[: len(panels)]), label=label, extend=_cut(panels, limits))
+    figure.colorbar(
+        colours,
+        ax=list(axes[: len(panels)]),
+        label=label,
+        extend=_cut(panels, limits),
+        pad=0.02,
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=160)
 
