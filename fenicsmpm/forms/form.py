@@ -7,6 +7,8 @@ from typing import Any
 
 import ufl
 from ufl.algorithms import expand_derivatives
+from ufl.algorithms.check_arities import ArityMismatch, check_integrand_arity
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from dolfinx import fem
 from fenicsmpm.forms.errors import UnsupportedFormError
@@ -118,17 +120,13 @@ def form(
         if expanded.empty():
             continue
         integrand = sum(i.integrand() for i in expanded.integrals())
-        integral = PointIntegral(integrand, points, tags, options)
-        found = [source.item for source in integral.lowered.arguments]
-        if found != list(arguments):
-            raise ValueError(
-                f"all integrals must have the same arguments: {arguments} of the form, but "
-                f"{found} in an integral over points"
-            )
-        point_integrals.append(integral)
+        _check_arity(integrand, arguments)
+        point_integrals.append(PointIntegral(integrand, points, tags, options))
     ordinary = None
     if ordinary_integrals:
-        ordinary = _ordinary_form(ordinary_integrals, form_compiler_options, jit_options)
+        ordinary = _ordinary_form(ordinary_integrals, arguments, form_compiler_options, jit_options)
+    if not point_integrals and ordinary is None and not arguments:
+        raise ValueError("the form is identically zero")
     return Form(F, point_integrals, ordinary, [_space(a) for a in arguments], mesh)
 
 
@@ -139,7 +137,30 @@ def _space(argument: ufl.Argument) -> fem.FunctionSpace:
             f"argument without a dolfinx function space: {argument}. "
             "Use fem.functionspace(mesh, element)."
         )
+    if space.component():
+        raise ValueError(
+            f"argument on a part of a mixed space: {argument}. "
+            "Use a test function of the whole space and ufl.split, or V.sub(i).collapse()."
+        )
     return space
+
+
+def _check_arity(integrand: Any, arguments: Any) -> None:
+    """Every term of an integrand must be linear in each of the form's arguments."""
+    try:
+        real = remove_complex_nodes(integrand)
+    except ValueError as error:
+        raise UnsupportedFormError(f"complex number over material points: {error}") from None
+    try:
+        check_integrand_arity(real, arguments)
+    except (ArityMismatch, ValueError) as error:
+        # ArityMismatch is not an Exception and would pass most handlers; the ValueError is UFL's
+        # own while it words the message for sums of terms with and without arguments
+        reason = error if isinstance(error, ArityMismatch) else "its terms differ in rank"
+        raise UnsupportedFormError(
+            f"integral over points that is not linear in the arguments "
+            f"{', '.join(map(str, arguments)) or '(the form has none)'}: {reason}"
+        ) from None
 
 
 def _mesh_of(F: ufl.Form, point_sets: list[MaterialPoints], arguments: Any) -> Any:
@@ -157,10 +178,17 @@ def _mesh_of(F: ufl.Form, point_sets: list[MaterialPoints], arguments: Any) -> A
 
 def _ordinary_form(
     integrals: list[ufl.Integral],
+    arguments: Any,
     form_compiler_options: dict[str, Any] | None,
     jit_options: dict[str, Any] | None,
 ) -> fem.Form | None:
     ordinary = ufl.Form(integrals)
+    if ordinary.arguments() != arguments:
+        raise UnsupportedFormError(
+            "integrals over cells or facets with the arguments "
+            f"{', '.join(map(str, ordinary.arguments())) or '(none)'} in a form with the arguments "
+            f"{', '.join(map(str, arguments)) or '(none)'}"
+        )
     for coefficient in ordinary.coefficients():
         if isinstance(coefficient, PointField):
             raise UnsupportedFormError(

@@ -2,10 +2,20 @@
 """Formulations: functions that return UFL forms to be printed, changed and recombined."""
 
 from fenicsmpm.formulations.kinematics import Kinematics, embed
-from fenicsmpm.formulations.mixed import mixed, mixed_space, volumetric_residual
-from fenicsmpm.formulations.stabilization import asgs, element_size, osgs, ppp, residuals, tau
+from fenicsmpm.formulations.mixed import mixed, mixed_space, parts, volumetric_residual
+from fenicsmpm.formulations.stabilization import (
+    STABILIZATIONS,
+    asgs,
+    element_size,
+    osgs,
+    ppp,
+    residuals,
+    stabilized,
+    tau,
+)
 
 __all__ = [
+    "STABILIZATIONS",
     "Kinematics",
     "asgs",
     "element_size",
@@ -13,8 +23,10 @@ __all__ = [
     "mixed",
     "mixed_space",
     "osgs",
+    "parts",
     "ppp",
     "residuals",
+    "stabilized",
     "tau",
     "volumetric_residual",
 ]

@@ -56,8 +56,8 @@ def mixed(
     Returns:
         UFL form of rank 1.
     """
-    u, p = ufl.split(U)[:2]
-    w, q = ufl.split(V)[:2]
+    u, p = parts(U)[:2]
+    w, q = parts(V)[:2]
     k = Kinematics(u, points)
     # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w;
     # written like this, tangents need no inverse of f and cost a fraction
@@ -67,6 +67,29 @@ def mixed(
     if force is not None:
         residual -= ufl.inner(force, w) * points.dx
     return residual
+
+
+def parts(U: Any) -> Any:
+    """Split a function or argument of a mixed space.
+
+    Args:
+        U: of a space from ``mixed_space``.
+
+    Returns:
+        ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
+
+    Raises:
+        ValueError: for other spaces.
+    """
+    split = ufl.split(U)
+    shapes = [part.ufl_shape for part in split]
+    dim = U.ufl_function_space().ufl_domain().geometric_dimension()
+    if shapes not in ([(dim,), ()], [(dim,), ()] * 2):
+        raise ValueError(
+            f"a mixed space of displacement and pressure is needed, but {U} has parts of shapes "
+            f"{shapes}: use mixed_space(mesh)"
+        )
+    return split
 
 
 def volumetric_residual(p: Any, k: Kinematics, law: NeoHookean) -> Any:

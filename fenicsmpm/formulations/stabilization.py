@@ -12,10 +12,12 @@ import ufl
 
 from dolfinx import fem
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.formulations.mixed import volumetric_residual
+from fenicsmpm.formulations.mixed import mixed, parts, volumetric_residual
 from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints
+
+STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
 
 
 def element_size(points: MaterialPoints) -> Any:
@@ -56,8 +58,8 @@ def ppp(
     Returns:
         UFL form of rank 1.
     """
-    u, p = ufl.split(U)[:2]
-    _, q = ufl.split(V)[:2]
+    u, p = parts(U)[:2]
+    _, q = parts(V)[:2]
     j = Kinematics(u, points).j
     rough_p = p - ufl.cell_avg(p)
     rough_q = q - ufl.cell_avg(q)
@@ -120,20 +122,57 @@ def osgs(
     Returns:
         UFL form of rank 1.
     """
-    parts = ufl.split(U)
-    if len(parts) != 4:
+    unknowns = parts(U)
+    if len(unknowns) != 4:
         raise ValueError(
-            f"OSGS needs a space of (u, p, Pi_u, Pi_p), not {len(parts)} parts: "
+            f"OSGS needs a space of (u, p, Pi_u, Pi_p), not {len(unknowns)} parts: "
             "use mixed_space(mesh, projections=True)"
         )
-    Pi_u, Pi_p = parts[2:]
-    eta_u, eta_p = ufl.split(V)[2:]
+    Pi_u, Pi_p = unknowns[2:]
+    eta_u, eta_p = parts(V)[2:]
     R_u, R_p = residuals(U, points, law, force)
     projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
     fraction = FilledFraction(points)
     lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
     subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2)
     return subscales + lumped - projected
+
+
+def stabilized(
+    name: str,
+    U: fem.Function,
+    V: Any,
+    points: MaterialPoints,
+    law: NeoHookean,
+    *,
+    force: Any = None,
+) -> ufl.Form:
+    """Residual of the mixed formulation with a stabilization chosen by name.
+
+    Args:
+        name: "none", "ppp", "asgs" or "osgs".
+        U: increment of displacement [m] and pressure [Pa], and projections for OSGS.
+        V: test function.
+        points: material points with weights V_n [m^d].
+        law: constitutive law.
+        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
+
+    Returns:
+        UFL form of rank 1.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    R = mixed(U, V, points, law, force=force)
+    if name == "none":
+        return R
+    if name == "ppp":
+        return R + ppp(U, V, points, law)
+    if name == "asgs":
+        return R + asgs(U, V, points, law, force=force)
+    if name == "osgs":
+        return R + osgs(U, V, points, law, force=force)
+    raise ValueError(f"unknown stabilization {name!r}: use one of {', '.join(STABILIZATIONS)}")
 
 
 def residuals(
@@ -150,7 +189,7 @@ def residuals(
     Returns:
         j (rho b + grad p) per volume before the step [N/m^3], and U'(J)/kappa - p/kappa [-].
     """
-    u, p = ufl.split(U)[:2]
+    u, p = parts(U)[:2]
     k = Kinematics(u, points)
     R_u = _pressure_force(k, p)
     if force is not None:
@@ -173,8 +212,8 @@ def _subscales(
     of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q. S_u is
     per volume before the step, hence the division by j.
     """
-    u, p = ufl.split(U)[:2]
-    _, q = ufl.split(V)[:2]
+    u, p = parts(U)[:2]
+    _, q = parts(V)[:2]
     k = Kinematics(u, points)
     tau1, tau2 = tau(points, law, c1, c2)
     adjoint_u = -ufl.derivative(_pressure_force(k, p), U, V)

@@ -191,6 +191,8 @@ class MaterialPoints:
         """Fill the array of an existing field with a value of shape (n, *shape) or (*shape)."""
         if name in _READ_ONLY:
             raise ValueError(f"'{name}' cannot be assigned: positions are changed by move()")
+        if name == "weight" and not np.all(np.isfinite(value) & (np.asarray(value) > 0)):
+            raise ValueError(f"weights must be positive and finite: {value}")
         _assign(name, self[name], value)
 
     def field(self, name: str) -> PointField:
