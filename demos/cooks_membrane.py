@@ -222,13 +222,15 @@ def study(sizes, nu, output):
         tips[name].append(solution.tip)
         if n == min(32, max(sizes)):
             panels[name] = pressure_panel(solution, TITLES[name])
+            parameters = {"n": n, "stabilization": name, "E [Pa]": YOUNG, "nu": nu}
+            io.write(output / f"{name}.vtu", panels[name].data, parameters)
 
     limits = io.colour_range([panels[name] for name in METHODS if name != "none"], cut=1)
     label = "mean stress p [Pa]"
     io.picture(output / "pressures.png", list(panels.values()), label, limits=limits)
     if MPI.COMM_WORLD.rank == 0:
         plot_tips(sizes, tips, nu, output / "tip_displacement.png")
-    io.say(f"pressures.png and tip_displacement.png are in {output}")
+    io.say(f"pressures.png, tip_displacement.png and a file .vtu for each method are in {output}")
 
 
 def plot_tips(sizes, tips, nu, path):

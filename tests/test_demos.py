@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: MIT
+"""Each demo runs, and one number of it is right."""
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+
+DEMOS = Path(__file__).parent.parent / "demos"
+sys.path.insert(0, str(DEMOS))
+cooks_membrane = import_module("cooks_membrane")
+manufactured_solution = import_module("manufactured_solution")
+own_stabilization = import_module("own_stabilization")
+
+TIPS = {  # m, an independent prototype
+    ("asgs", 8): 0.2105,
+    ("osgs", 8): 0.1951,
+    ("asgs", 16): 0.2489,
+    ("osgs", 16): 0.2416,
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("n", [8, 16])
+def test_cooks_membrane(n):
+    solutions = {name: cooks_membrane.solve(n, cooks_membrane.METHODS[name]) for name, _ in TIPS}
+    for name, solution in solutions.items():
+        assert solution.tip == pytest.approx(TIPS[name, n], abs=6e-5)
+        assert 3 <= solution.iterations <= 4
+    assert solutions["osgs"].iterations <= solutions["asgs"].iterations + 1
+
+
+def test_pressure_jumps_only_without_stabilization():
+    def jumps(name):
+        p = cooks_membrane.solve(8, cooks_membrane.METHODS[name]).p.x.array
+        return np.percentile(p, 90) - np.percentile(p, 10)
+
+    # the applied traction is 0.0625 Pa
+    assert jumps("none") > 1.0
+    for name in ("ppp", "asgs", "osgs"):
+        assert jumps(name) < 0.3
+
+
+def test_cooks_membrane_as_a_program(tmp_path):
+    command = [sys.executable, str(DEMOS / "cooks_membrane.py"), "--short", "-v"]
+    ran = subprocess.run(
+        [*command, "--output", str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert "|R|" in ran.stdout  # a line an iteration
+    last = ran.stdout.splitlines()[-2].split()
+    assert last[:4] == ["8", "asgs", "0.2105", "0.2105"]
+    points, grid = pyvista.read(tmp_path / "points.vtp"), pyvista.read(tmp_path / "grid.vtu")
+    assert (points.n_points, grid.n_points) == (3 * 128, 81)
+    assert np.sum(points["weight"]) == pytest.approx(1440.0)
+    assert points.field_data["stabilization"][0] == "asgs"
+    corner = np.argmax(grid.points[:, 1])
+    assert grid["displacement"][corner, 1] == pytest.approx(0.2105, abs=6e-5)
+    assert (tmp_path / "pressure.png").stat().st_size > 10_000
+
+
+def test_study_of_cooks_membrane(tmp_path, capsys):
+    cooks_membrane.main(["--short", "--study", "--output", str(tmp_path)])
+    assert len(capsys.readouterr().out.splitlines()) == 2 + 2 * 4 + 1
+    for name in ("pressures.png", "tip_displacement.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+    assert pyvista.read(tmp_path / "osgs.vtu").field_data["n"][0] == 16
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["--nu 0.6", "--stabilization supg", "-n 0", "--study -n 8", "--study --stabilization ppp"],
+)
+def test_wrong_options(arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cooks_membrane.main(arguments.split())
+    assert stopped.value.code == 2
+    assert arguments.split()[0] in capsys.readouterr().err
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "name, of_u, of_p", [("ppp", 1.20e-2, 6.06e-2), ("asgs", 9.10e-3, 4.04e-2),
+                         ("osgs", 3.99e-3, 3.73e-2)]
+)  # fmt: skip
+def test_manufactured_solution(name, of_u, of_p):
+    assert manufactured_solution.solve(16, name).errors == pytest.approx((of_u, of_p), rel=0.02)
+
+
+def test_study_of_the_manufactured_solution(tmp_path, capsys):
+    manufactured_solution.main(["--short", "--output", str(tmp_path)])
+    assert "Orders of convergence" in capsys.readouterr().out
+    points = pyvista.read(tmp_path / "points.vtp")
+    assert points.n_points == 12 * 2 * 16**2  # the random ones
+    difference = points["pressure"] - points["exact pressure"]
+    scale = np.linalg.norm(points["exact pressure"])
+    assert np.linalg.norm(difference) / scale == pytest.approx(4.2e-2, rel=0.1)
+    for name in ("pressure.png", "errors.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+def test_own_stabilization(tmp_path):
+    own_stabilization.main(["--short", "--output", str(tmp_path)])
+    tip = {
+        name: pyvista.read(tmp_path / f"{name}.vtu")["displacement"][:, 1].max()
+        for name in own_stabilization.METHODS
+    }
+    assert tip["asgs"] == pytest.approx(0.2489, abs=6e-5)
+    assert tip["least_squares"] == pytest.approx(tip["asgs"], rel=1e-4)
+    assert tip["brezzi_pitkaranta"] == pytest.approx(tip["asgs"], rel=0.05)
+    assert tip["gradient_jumps"] == pytest.approx(tip["asgs"], rel=0.02)

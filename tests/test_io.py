@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: MIT
+"""Files can be read again with the right numbers, pictures have the right colours."""
+
+import logging
+import subprocess
+
+from mpi4py import MPI
+
+import matplotlib
+import matplotlib.image
+import numpy as np
+import pytest
+import pyvista
+from dolfinx import fem, mesh
+
+import fenicsmpm
+from fenicsmpm import io
+from fenicsmpm.io import pictures
+from fenicsmpm.points import fill
+
+comm = MPI.COMM_WORLD
+CELLS = {
+    "triangle": 2,
+    "quadrilateral": 2,
+    "tetrahedron": 3,
+    "hexahedron": 3,
+}
+
+
+@pytest.fixture
+def directory(tmp_path):
+    """The same directory on all ranks."""
+    return comm.bcast(tmp_path)
+
+
+def unit_mesh(name, n=4):
+    cell = mesh.CellType[name]
+    if CELLS[name] == 2:
+        return mesh.create_unit_square(comm, n, n, cell)
+    return mesh.create_unit_cube(comm, n, n, n, cell)
+
+
+def functions(domain):
+    p = fem.Function(fem.functionspace(domain, ("Lagrange", 1)), name="p")
+    p.interpolate(lambda x: x[0] + 2 * x[1] - x[2])
+    dim = domain.geometry.dim
+    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (dim,))), name="u")
+    u.interpolate(lambda x: np.stack([x[1], 3 * x[0], x[2]][:dim]))
+    return p, u
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", CELLS)
+def test_functions_are_read_as_written(cell, directory):
+    domain = unit_mesh(cell)
+    io.write(directory / "new" / "grid.vtu", io.gather_functions(functions(domain)), {"E": 7.5})
+    comm.barrier()
+    grid = pyvista.read(directory / "new" / "grid.vtu")
+    dim = CELLS[cell]
+    assert grid.n_points == 5**dim
+    assert grid.n_cells == domain.topology.index_map(dim).size_global
+    # a wrong order of the corners would make cells smaller
+    measure = ("Area", "Volume")[dim - 2]
+    assert np.sum(grid.compute_cell_sizes()[measure]) == pytest.approx(1.0, rel=1e-12)
+    x, y, z = grid.points.T
+    np.testing.assert_allclose(grid["p"], x + 2 * y - z, atol=1e-14)
+    np.testing.assert_allclose(grid["u"], np.stack([y, 3 * x, z], axis=1), atol=1e-14)
+    assert grid.field_data["fenicsmpm version"][0] == fenicsmpm.__version__
+    assert grid.field_data["E"][0] == 7.5
+
+
+@pytest.mark.mpi
+def test_points_are_read_as_written(directory):
+    points = fill(unit_mesh("triangle"), 2, tag=3)
+    points.add_field("p", (), points.x[:, 0] - points.x[:, 1])
+    points.add_field("u", (2,), 2 * points.x)
+    points.add_field("F", (3, 3), np.arange(9.0).reshape(3, 3))
+    points.add_field("f", (2, 2), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    path = directory / "points.vtp"
+    io.write(path, io.gather_points(points), {"law": "neo-Hooke", "steps": 3, "exact": True})
+    comm.barrier()
+    read = pyvista.read(path)
+    assert read.n_points == points.size_global == 128
+    np.testing.assert_array_equal(read["id"], np.arange(128))
+    assert np.all(read["tag"] == 3)
+    assert np.sum(read["weight"]) == pytest.approx(1.0, rel=1e-14)
+    x, y, z = read.points.T
+    assert np.all(z == 0.0)
+    np.testing.assert_array_equal(read["p"], x - y)
+    np.testing.assert_array_equal(read["u"], 2 * read.points)
+    np.testing.assert_array_equal(read["F"], np.tile(np.arange(9.0), (128, 1)))
+    np.testing.assert_array_equal(read["f"], np.tile([1.0, 2, 0, 3, 4, 0, 0, 0, 0], (128, 1)))
+    data = read.field_data
+    assert (data["law"][0], data["steps"][0], data["exact"][0]) == ("neo-Hooke", 3, True)
+
+
+@pytest.mark.mpi
+def test_gathered_mesh_does_not_depend_on_the_ranks():
+    grid = io.gather_functions(functions(unit_mesh("triangle")))
+    assert (grid is None) == (comm.rank > 0)
+    alone = mesh.create_unit_square(MPI.COMM_SELF, 4, 4)
+    expected = io.gather_functions(functions(alone))
+    if grid is not None:
+        np.testing.assert_array_equal(grid.points, expected.points)
+        np.testing.assert_array_equal(np.sort(grid.cells), np.sort(expected.cells))
+
+
+@pytest.mark.mpi
+def test_files_that_cannot_be_written_raise_on_all_ranks(directory):
+    data = io.gather_points(fill(unit_mesh("triangle"), 1))
+    with pytest.raises(ValueError, match=r"ends in \.vtp"):
+        io.write(directory / "points.vtu", data)
+    (directory / "file").touch()
+    comm.barrier()
+    with pytest.raises(OSError, match="file"):
+        io.write(directory / "file" / "points.vtp", data)
+
+
+def test_functions_that_cannot_be_gathered():
+    domain = unit_mesh("triangle")
+    p, _ = functions(domain)
+    with pytest.raises(ValueError, match="names of their own"):
+        io.gather_functions([p, p])
+    quadratic = fem.Function(fem.functionspace(domain, ("Lagrange", 2)), name="q")
+    with pytest.raises(ValueError, match="'q' is not P1"):
+        io.gather_functions([quadratic])
+    with pytest.raises(ValueError, match="another mesh"):
+        io.gather_functions([p, functions(unit_mesh("triangle"))[1]])
+    with pytest.raises(ValueError, match="no functions"):
+        io.gather_functions([])
+
+
+def painted(path, value):
+    """Share of a picture that has the colour of a value between 0 and 1."""
+    assert path.read_bytes().startswith(b"\x89PNG")
+    image = matplotlib.image.imread(path)[..., :3]
+    color = matplotlib.colormaps["viridis"](value)[:3]
+    return float(np.mean(np.all(np.abs(image - color) < 0.02, axis=-1)))
+
+
+@pytest.mark.mpi
+def test_picture_has_the_colours_of_the_values(directory):
+    domain = unit_mesh("triangle", 8)
+    p, u = functions(domain)
+    p.x.array[:] = 0.25
+    u.x.array[:] = 0.0
+    points = fill(domain, 2)
+    points.add_field("v", (2,), np.array([0.0, 0.75]))
+    panels = [
+        io.Panel(io.gather_functions([p, u]), "p", "grid", displacement="u"),
+        io.Panel(io.gather_points(points), "v", "points"),
+    ]
+    io.picture(directory / "two.png", panels, "p [Pa]", limits=(0.0, 1.0))
+    panels[1].component = 0
+    io.picture(directory / "component.png", panels[1:], "v [m/s]", limits=(-1.0, 1.0))
+    comm.barrier()
+    assert painted(directory / "two.png", 0.25) > 0.2
+    assert painted(directory / "two.png", 0.75) > 0.08
+    assert painted(directory / "component.png", 0.5) > 0.15
+
+
+def test_picture_in_space(directory):
+    domain = unit_mesh("hexahedron", 2)
+    p, _ = functions(domain)
+    p.x.array[:] = 1.0
+    io.picture(directory / "space.png", [io.Panel(io.gather_functions([p]), "p")], "p [Pa]")
+    image = matplotlib.image.imread(directory / "space.png")[..., :3]
+    assert len(np.unique((255 * image).astype(int).reshape(-1, 3), axis=0)) > 10
+
+
+def test_picture_leaves_no_server_behind(directory, monkeypatch):
+    started = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Recorded)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    p, _ = functions(unit_mesh("triangle"))
+    for name in ("first.png", "second.png"):
+        io.picture(directory / name, [io.Panel(io.gather_functions([p]), "p")], "p [Pa]")
+        assert painted(directory / name, 0.5) > 0.001
+    assert len(started) == (2 if pictures._needs_x_server() else 0)
+    assert all(server.poll() is not None for server in started)
+
+
+@pytest.mark.mpi
+def test_pictures_that_cannot_be_drawn_raise_on_all_ranks(directory, monkeypatch):
+    p, _ = functions(unit_mesh("triangle"))
+    data = io.gather_functions([p])
+    with pytest.raises(ValueError, match="no field 'q'"):
+        io.picture(directory / "no.png", [io.Panel(data, "q")], "q")
+    with pytest.raises(ValueError, match="no field 'u'"):
+        io.picture(directory / "no.png", [io.Panel(data, "p", displacement="u")], "p")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(pictures, "_needs_x_server", lambda: True)
+    monkeypatch.setattr(pictures.shutil, "which", lambda name: None)
+    with pytest.raises(RuntimeError, match="Install Xvfb"):
+        io.picture(directory / "no.png", [io.Panel(data, "p")], "p")
+
+
+def test_colour_range_cuts_singular_values():
+    data = pyvista.PolyData(np.random.default_rng(1).random((1000, 3)))
+    data["p"] = np.linspace(0.0, 1.0, 1000)
+    data["p"][0] = -1e6
+    assert io.colour_range([io.Panel(data, "p")])[0] == -1e6
+    assert io.colour_range([io.Panel(data, "p")], cut=1) == pytest.approx((0.01, 0.99), abs=1e-3)
+
+
+def test_table_is_aligned(capsys):
+    rows = io.Table({"n": "d", "tip [m]": ".4f", "method": "s"})
+    rows.row(8, 0.21048, "asgs")
+    rows.row(128, None, "osgs")
+    title, line, first, second = capsys.readouterr().out.splitlines()
+    assert len(title) == len(line) == len(first) == len(second)
+    assert first.split() == ["8", "0.2105", "asgs"]
+    assert second.split() == ["128", "-", "osgs"]
+    with pytest.raises(ValueError, match="2 values for 3 columns"):
+        rows.row(1, 2)
+
+
+def test_log_is_printed_once(capsys):
+    logger = logging.getLogger("fenicsmpm")
+    before = logger.handlers[:], logger.level, logger.propagate
+    try:
+        io.show_log(logging.WARNING)
+        io.show_log(logging.INFO)
+        logger.info("iteration 1")
+        assert capsys.readouterr().out == "iteration 1\n"
+    finally:
+        logger.handlers[:], logger.level, logger.propagate = before
+
+
+def test_progress_goes_through_all(capsys):
+    assert list(io.progress(range(3), "steps")) == [0, 1, 2]
+    assert list(io.progress(iter("ab"), "steps", total=2)) == ["a", "b"]
+    assert capsys.readouterr().out == ""
