@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""What the pages print is true: code blocks run, outputs are as printed, links lead somewhere."""
+
+import contextlib
+import io
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import fenicsmpm
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(page):
+    """Language, text and first line of each code block of a page."""
+    text = page.read_text()
+    for match in BLOCK.finditer(text):
+        yield match[1], match[2], text.count("\n", 0, match.start(2))
+
+
+def pages_with_code():
+    return [page for page in PAGES if any(language == "python" for language, _, _ in blocks(page))]
+
+
+@pytest.mark.parametrize("page", pages_with_code(), ids=lambda page: page.name)
+def test_code_of_a_page(page):
+    """The Python blocks of a page are one script; a text block after one is what it prints."""
+    namespace = {"__name__": "__main__"}
+    printed = None
+    for language, text, line in blocks(page):
+        if language == "python":
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                # empty lines in front: a traceback then names the line of the page
+                exec(compile("\n" * line + text, page, "exec"), namespace)
+            printed = out.getvalue()
+        else:
+            if language == "text" and printed is not None:
+                assert printed == text, f"{page.name}, line {line + 1}"
+            printed = None
+
+
+def test_readme_example_is_short_and_prints():
+    code = [text for language, text, _ in blocks(ROOT / "README.md") if language == "python"]
+    assert len(code) == 1
+    assert len(code[0].splitlines()) <= 25
+    assert "print(" in code[0]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_of_a_page(page):
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+        assert "://" in target or (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_named_files_exist(page):
+    """Paths in backticks, such as `fenicsmpm/forms/form.py`."""
+    pattern = r"`((?:fenicsmpm|demos|tests|benchmarks|docs|\.ci)/[\w./]*)`"
+    for name in re.findall(pattern, page.read_text()):
+        assert (ROOT / name).exists(), name
+
+
+def test_one_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == fenicsmpm.__version__
+    assert f"\nversion: {fenicsmpm.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## [{fenicsmpm.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
