@@ -5,36 +5,16 @@ Run: python benchmarks/location.py [--points 1000000] [--cells-per-side 26] [--r
 """
 
 import argparse
-import platform
 import statistics
-import subprocess
 import time
-from pathlib import Path
 
 from mpi4py import MPI
 
+import machine
 import numpy as np
 from dolfinx.mesh import CellType, create_unit_cube
 
-from fenicsmpm import __version__
 from fenicsmpm.points.location import Locator
-
-
-def commit() -> str:
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return f"unknown (version {__version__})"
-
-
-def processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 def seconds(call, repeat):
@@ -60,7 +40,7 @@ def main():
     parser.add_argument("--repeat", type=int, default=5)
     args = parser.parse_args()
 
-    print(f"{platform.node()}, {processor()}, commit {commit()}, one core")
+    print(f"{machine.describe()}, one core")
     print(f"{args.points} points in the unit cube, median of {args.repeat}")
     n = args.cells_per_side
     for kind, bent in (

@@ -94,8 +94,12 @@ class Setting:
         self.f = fem.Function(self.S)
         self.f.interpolate(smooth)
         self.v = fem.Function(self.V)
-        self.v.interpolate(lambda x: 0.1 * np.array([smooth(x[[(i + k) % 3 for k in range(3)]])
-                                                     for i in range(self.dim)]))
+        self.v.interpolate(
+            lambda x: (
+                0.1
+                * np.array([smooth(x[[(i + k) % 3 for k in range(3)]]) for i in range(self.dim)])
+            )
+        )
         self.U = fem.Function(self.W)
         self.U.sub(0).interpolate(self.v)
         self.U.sub(1).interpolate(smooth)

@@ -6,7 +6,6 @@ import functools
 import numpy as np
 import pytest
 import ufl
-import dolfinx.fem.petsc
 from dolfinx import fem, la
 from forms_table import CELLS, FORMS, SIMPLEX_FORMS, Setting
 

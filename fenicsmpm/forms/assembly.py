@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-
 from dolfinx import cpp, fem, la
+
 from fenicsmpm import _compat
 from fenicsmpm.forms import loops
 from fenicsmpm.forms.form import Form
@@ -49,8 +49,7 @@ def assemble_scalar(M: Form) -> float:
     local = fem.assemble_scalar(M.ordinary) if M.ordinary is not None else 0.0
     for integral in M.point_integrals:
         local += sum(float(np.sum(values)) for _, values in integral.element_tensors())
-    comm = M.point_integrals[0].points.mesh.comm if M.point_integrals else M.ordinary.mesh.comm
-    return comm.allreduce(local, MPI.SUM)
+    return M.mesh.comm.allreduce(local, MPI.SUM)
 
 
 def assemble_vector(L: Form, b: la.Vector | None = None) -> la.Vector:
@@ -253,10 +252,9 @@ def _csr_positions(
 ) -> npt.NDArray[np.int32]:
     """``(n_groups, n_local0, n_local1)`` positions for the groups with points."""
     cached = _positions.setdefault(A, weakref.WeakKeyDictionary())
-    groups, positions = cached.get(integral, (None, None))
-    if groups is None or not np.array_equal(groups, integral.groups):
-        groups = integral.groups
+    groups = integral.groups
+    if integral not in cached or not np.array_equal(cached[integral][0], groups):
         positions = np.empty((len(groups), dofs[0].shape[1], dofs[1].shape[1]), dtype=np.int32)
         loops.csr_positions(A.indptr, A.indices, *dofs, groups, positions)
         cached[integral] = (groups, positions)
-    return positions
+    return cached[integral][1]

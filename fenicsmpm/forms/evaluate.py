@@ -45,9 +45,9 @@ class PointExpression:
         # tested with one constant function a component, the kernel's rows are the components
         element = basix.ufl.element("DG", points.mesh.basix_cell(), 0, shape=(size,))
         test = ufl.TestFunction(ufl.FunctionSpace(points.mesh.ufl_domain(), element))
-        components = [expression[index] for index in np.ndindex(self.shape)] if self.shape else [
-            expression
-        ]
+        components = (
+            [expression[index] for index in np.ndindex(self.shape)] if self.shape else [expression]
+        )
         integrand = sum(c * test[k] for k, c in enumerate(components))
         self._integral = PointIntegral(integrand, points, None, jit_options or {})
 
@@ -91,8 +91,6 @@ def describe_not_finite(compiled: Form) -> str:
     """
     found = None
     for integral in compiled.point_integrals:
-        if integral.kernel is None:
-            continue
         tensors = integral.point_tensors()
         bad = np.flatnonzero(~np.isfinite(tensors).all(axis=tuple(range(1, tensors.ndim))))
         if len(bad) > 0 and found is None:

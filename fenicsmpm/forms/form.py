@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import Any
 
 import ufl
+from dolfinx import fem
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.check_arities import ArityMismatch, check_integrand_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
-from dolfinx import fem
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.integral import PointIntegral, selected_tags
 from fenicsmpm.points import MaterialPoints
@@ -127,6 +127,8 @@ def form(
         ordinary = _ordinary_form(ordinary_integrals, arguments, form_compiler_options, jit_options)
     if not point_integrals and ordinary is None and not arguments:
         raise ValueError("the form is identically zero")
+    if mesh is None and ordinary is not None:  # integrals of constants over cells or facets
+        mesh = ordinary.mesh
     return Form(F, point_integrals, ordinary, [_space(a) for a in arguments], mesh)
 
 
@@ -172,7 +174,6 @@ def _mesh_of(F: ufl.Form, point_sets: list[MaterialPoints], arguments: Any) -> A
                 "points and function spaces live on different meshes: define all spaces of a "
                 "form on the background mesh of its points"
             )
-    # a form of integrals over facets or cells without any function knows its mesh by dolfinx
     return meshes[0] if meshes else None
 
 

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
-
 from dolfinx import fem
+
 from fenicsmpm import _compat
 from fenicsmpm.points import MaterialPoints
 
@@ -48,10 +49,24 @@ def geometry_values(
     return cell_values(quantity, points.mesh)[points.cell[order]].reshape(-1, 1)
 
 
+# the background mesh does not move, so the sizes of its cells are computed once
+_cell_values: weakref.WeakKeyDictionary[Any, dict[str, npt.NDArray[np.float64]]]
+_cell_values = weakref.WeakKeyDictionary()
+
+
 def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
-    """``(n_cells,)`` values of a quantity that is constant in each cell, by dolfinx itself."""
+    """``(n_cells,)`` values of a quantity that is constant in each cell, by dolfinx itself.
+
+    Args:
+        quantity: UFL cell size such as ``CellVolume``.
+        mesh: dolfinx mesh.
+    """
+    name = type(quantity).__name__
+    known = _cell_values.setdefault(mesh, {})
+    if name in known:
+        return known[name]
     space = fem.functionspace(mesh, ("DG", 0))
-    if type(quantity).__name__ == "CellVolume":
+    if name == "CellVolume":
         # exact for cells that are not affine, for which UFL has no formula
         values = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
     else:
@@ -59,6 +74,5 @@ def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
         points = _compat.interpolation_points(space)
         function.interpolate(fem.Expression(quantity, points))
         values = function.x.array
-    result = np.empty(len(space.dofmap.list))
-    result[:] = values[space.dofmap.list[:, 0]]
-    return result
+    known[name] = values[space.dofmap.list[:, 0]]
+    return known[name]

@@ -10,12 +10,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import ufl
-
 from dolfinx import fem
+
 from fenicsmpm.basis import stencil_of
 from fenicsmpm.forms import linear_loops, loops
 from fenicsmpm.forms.geometry import geometry_values
-from fenicsmpm.forms.kernels import compile_pointwise
+from fenicsmpm.forms.kernels import COORDINATES, compile_pointwise
 from fenicsmpm.forms.lowering import Source, lower
 from fenicsmpm.forms.slots import SlotTable, slot_table
 from fenicsmpm.points import MaterialPoints
@@ -51,7 +51,7 @@ class PointIntegral:
         self.stencil = stencil_of(points)
         self.lowered = lower(integrand, points.mesh)
         self.kernel = compile_pointwise(points.mesh.comm, self.lowered, jit_options)
-        self._version = -1
+        self._version: Any = None
         self._tables: dict[int, SlotTable] = {}
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
 
@@ -66,10 +66,8 @@ class PointIntegral:
         self._version = key
         self._tables = {}
         order, offsets = self.stencil.order, self.stencil.offsets
-        if tags is None:
-            self.rows = np.arange(len(order), dtype=np.int64)
-        else:
-            self.rows = np.flatnonzero(np.isin(tags[order], self.tags))
+        selected = slice(None) if tags is None else np.isin(tags[order], list(self.tags or ()))
+        self.rows = np.arange(len(order))[selected]
         counts = np.searchsorted(self.rows, offsets)
         self.groups = np.flatnonzero(np.diff(counts)).astype(np.int32)
         self.offsets = np.append(counts[self.groups], len(self.rows)).astype(np.int64)
@@ -97,7 +95,7 @@ class PointIntegral:
         assert source.layout is not None
         if key not in self._tables:
             table = slot_table(source.layout, source.used, self.stencil, self._average)
-            if max(source.used, default=0) >= source.layout.n_slots // 2:
+            if np.any(source.used >= source.layout.n_slots // 2):
                 return table  # averages depend on the weights, which may change at any time
             self._tables[key] = table
         return self._tables[key]
@@ -131,6 +129,7 @@ class PointIntegral:
 
     def _plain_values(self, source: Source) -> npt.NDArray[np.float64]:
         item = source.item
+        values: npt.NDArray[np.float64]
         if isinstance(item, fem.Constant):
             return item.value.reshape(1, -1)[:, source.used]
         if isinstance(item, PointField):
@@ -156,30 +155,37 @@ class PointIntegral:
     ) -> npt.NDArray[np.float64]:
         """``(n_points, n_inputs)`` input vectors of the kernel for a batch."""
         result = np.empty((points.stop - points.start, max(self.lowered.n_inputs, 1)))
-        offsets = self.offsets[groups.start : groups.stop + 1]
         first = 0
         for source, values in zip(self.lowered.inputs, plain, strict=True):
             n = len(source.used)
             if values is not None:
                 result[:, first : first + n] = values if len(values) == 1 else values[points]
             else:
-                table = self.table(source)
-                function = source.item
-                loops.gather_function(
-                    function.x.array,
-                    self.dofs(source, function.function_space),
-                    self.groups[groups],
-                    offsets,
-                    self.rows,
-                    table.basis,
-                    table.column,
-                    table.length,
-                    table.start,
-                    result,
-                    first,
-                )
+                self._gather(source, groups, result, first)
             first += n
         return result
+
+    def _gather(
+        self, source: Source, groups: slice, result: npt.NDArray[np.float64], first: int
+    ) -> None:
+        """Put the used slots of a function at a batch of points into columns of the inputs."""
+        assert source.layout is not None
+        table = self.table(source)
+        function = source.item
+        where = (
+            self.dofs(source, function.function_space),
+            self.groups[groups],
+            self.offsets[groups.start : groups.stop + 1],
+            self.rows,
+        )
+        slots = (table.basis, table.column, table.length, table.start)
+        values = source.layout.value_slots(source.used)
+        if values is None:
+            loops.gather_function(function.x.array, *where, *slots, result, first)
+        else:
+            is_value = np.zeros(len(source.used), dtype=np.bool_)
+            is_value[values] = True
+            linear_loops.gather_function(function.x.array, *where, is_value, *slots, result, first)
 
     # --- evaluation --------------------------------------------------------------------------
 
@@ -213,7 +219,7 @@ class PointIntegral:
                 result[:] = 0.0
                 yield groups, result
                 continue
-            common = (kernel.address, kernel.coordinates(), offsets, weights)
+            common = (kernel.address, COORDINATES, offsets, weights)
             inputs = self.inputs(groups, points, plain)
             if len(arguments) == 0:
                 loops.element_scalars(*common, inputs, result)
@@ -229,14 +235,14 @@ class PointIntegral:
     def point_tensors(self) -> npt.NDArray[np.float64]:
         """Kernel's output at each selected point, ``(n, *kernel.shape)``, in group order."""
         self.refresh()
+        if self.kernel is None:
+            return np.zeros((len(self.rows), 0))
         plain = self.plain_inputs()
         size = int(np.prod(self.kernel.shape, dtype=int))
         result = np.zeros((len(self.rows), size))
         for groups, points in self.batches():
             inputs = self.inputs(groups, points, plain)
-            loops.evaluate_points(
-                self.kernel.address, self.kernel.coordinates(), inputs, result[points]
-            )
+            loops.evaluate_points(self.kernel.address, COORDINATES, inputs, result[points])
         return result.reshape(len(self.rows), *self.kernel.shape)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -48,12 +47,10 @@ class Kernel:
     shape: tuple[int, ...]
     module: Any
 
-    def coordinates(self) -> npt.NDArray[np.float64]:
-        """Coordinates to pass to the function."""
-        return COORDINATES
 
-
-def compile_pointwise(comm: Any, lowered: PointwiseForm, jit_options: dict[str, Any]) -> Kernel | None:
+def compile_pointwise(
+    comm: Any, lowered: PointwiseForm, jit_options: dict[str, Any]
+) -> Kernel | None:
     """Compile a lowered integrand, once for all ranks and from FFCx's cache if it is there.
 
     Args:

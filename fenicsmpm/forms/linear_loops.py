@@ -39,6 +39,25 @@ def with_moments(table, values, dim):
 
 
 @numba.njit(cache=True, parallel=True)
+def gather_function(
+    values, dofs, groups, offsets, rows, is_value, basis, column, length, start, inputs, first
+):
+    """As ``loops.gather_function``; in a group, only slots with ``is_value`` vary."""
+    for i in numba.prange(len(groups)):
+        local = values[dofs[groups[i]]]
+        slots = np.zeros(len(column))
+        for k in range(offsets[i], offsets[i + 1]):
+            row = basis[rows[k]]
+            for s in range(len(column)):
+                if is_value[s] or k == offsets[i]:
+                    slots[s] = 0.0
+                    for a in range(length[s]):
+                        slots[s] += row[column[s] + a] * local[start[s] + a]
+            for s in range(len(column)):
+                inputs[k - offsets[0], first + s] = slots[s]
+
+
+@numba.njit(cache=True, parallel=True)
 def element_vectors(
     address, coordinates, offsets, weights, rows, inputs, x, values,
     basis, column, length, start, result,

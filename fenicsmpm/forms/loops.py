@@ -49,9 +49,7 @@ def evaluate_points(address, coordinates, inputs, tensors):
     """Kernel's output at each point, ``tensors (n_points, n)``, zeroed first."""
     for k in numba.prange(len(inputs)):
         tensors[k] = 0.0
-        call_kernel(
-            address, tensors[k].ctypes.data, inputs[k].ctypes.data, coordinates.ctypes.data
-        )
+        call_kernel(address, tensors[k].ctypes.data, inputs[k].ctypes.data, coordinates.ctypes.data)
 
 
 @numba.njit(cache=True, parallel=True)
@@ -136,7 +134,7 @@ def element_matrices(
 
 @numba.njit(cache=True)
 def contract_vector(tensor, weight, row, column, length, start, result):
-    """result += weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
+    """Result += weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
     for s in range(len(column)):
         factor = weight * tensor[s]
         for a in range(length[s]):
@@ -147,7 +145,7 @@ def contract_vector(tensor, weight, row, column, length, start, result):
 def contract_matrix(
     tensor, weight, row0, column0, length0, start0, row1, column1, length1, start1, half, result
 ):
-    """result += weight B0^T D B1 with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
+    """Result += weight B0^T D B1 with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
     n0 = len(column0)
     half[:] = 0.0
     for t in range(len(column1)):

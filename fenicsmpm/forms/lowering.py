@@ -16,6 +16,7 @@ import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx import fem
 from ufl.algorithms import expand_derivatives, expand_indices
 from ufl.classes import (
     CellAvg,
@@ -43,7 +44,6 @@ from ufl.classes import (
 from ufl.core.base_form_operator import BaseFormOperator
 from ufl.corealg.traversal import unique_post_traversal
 
-from dolfinx import fem
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.slots import SIMPLICES, Layout
 from fenicsmpm.points.point_field import PointField
@@ -256,10 +256,10 @@ class _Lowering:
             )
         if isinstance(item, Coefficient) and not isinstance(item, fem.Function):
             raise UnsupportedFormError(f"coefficient without values: {item}. Use fem.Function.")
-        source = self.sources.get(item)
-        if source is None:
-            layout = Layout(space.ufl_element(), self.dim)
-            source = self._add(item, layout, layout.n_slots)
+        if item not in self.sources:
+            new = Layout(space.ufl_element(), self.dim)
+            self._add(item, new, new.n_slots)
+        source = self.sources[item]
         layout = source.layout
         assert layout is not None
         order = len(derivative)

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
-
 from dolfinx import fem, la
+
 from fenicsmpm import _compat
 from fenicsmpm.forms import assembly
 from fenicsmpm.forms.form import Form
@@ -36,8 +36,8 @@ def assemble_vector(L: Form, b: PETSc.Vec | None = None) -> PETSc.Vec:
         b: vector to add to; None for a new one.
 
     Returns:
-        The vector; call ``b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)``
-        after lifting.
+        The vector; after lifting, add up the ghosts with ``b.ghostUpdate(InsertMode.ADD,
+        ScatterMode.REVERSE)`` as in dolfinx.
     """
     assembly._check(L, 1)
     b = create_vector(L) if b is None else b

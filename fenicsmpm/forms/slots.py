@@ -19,7 +19,6 @@ import numpy.typing as npt
 from fenicsmpm.basis.stencil import PointStencil, derivative_rows
 from fenicsmpm.forms.errors import UnsupportedFormError
 
-
 SIMPLICES = ("interval", "triangle", "tetrahedron")
 
 
@@ -131,7 +130,7 @@ class Layout:
 
         None if the functions are not linear, or if there are averages among the slots.
         """
-        average = max(used, default=0) >= self.n_slots // 2
+        average = bool(np.any(used >= self.n_slots // 2))
         return np.flatnonzero(used % self.n_rows == 0) if self.is_linear and not average else None
 
     @property
@@ -223,8 +222,8 @@ def slot_table(
         column[i] = block_column[key] + row * element.dim
         length[i] = element.dim
         start[i] = layout.component_start[component]
-    if not blocks:
-        basis = np.zeros((len(stencil.order), 0))
+    if len(blocks) == 1:
+        basis = blocks[0]
     else:
-        basis = blocks[0] if len(blocks) == 1 else np.hstack(blocks)
+        basis = np.hstack([np.zeros((len(stencil.order), 0)), *blocks])
     return SlotTable(basis, column, length, start)

@@ -54,7 +54,7 @@ class Kinematics:
         self.J = self.j * self.J_n
 
     def cofactor(self) -> Any:
-        """j f^-T, without a division: turns areas of step n and gradients times j."""
+        """J f^-T, without a division: turns areas of step n and gradients times j."""
         f = self.f
         if f.ufl_shape == (2, 2):
             return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
@@ -63,7 +63,7 @@ class Kinematics:
         return ufl.as_tensor([ufl.cross(b, c), ufl.cross(c, a), ufl.cross(a, b)])
 
     def grad(self, g: Any) -> Any:
-        """Spatial gradient of a function on the background mesh, grad(g) f^-1."""
+        """Spatial gradient of a function g on the background mesh: its gradient times f^-1."""
         return ufl.dot(ufl.grad(g), ufl.inv(self.f))
 
     def div(self, w: Any) -> Any:

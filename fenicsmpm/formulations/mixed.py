@@ -7,8 +7,8 @@ from typing import Any
 
 import basix.ufl
 import ufl
-
 from dolfinx import fem
+
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import ufl
-
 from dolfinx import fem
+
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.mixed import mixed, parts, volumetric_residual
 from fenicsmpm.mapping import FilledFraction
@@ -21,7 +21,7 @@ STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
 
 
 def element_size(points: MaterialPoints) -> Any:
-    """h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
+    """H = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
     mesh = points.mesh
     return ufl.CellVolume(mesh.ufl_domain()) ** (1 / mesh.geometry.dim)
 
@@ -198,7 +198,7 @@ def residuals(
 
 
 def _pressure_force(k: Kinematics, p: Any) -> Any:
-    """j f^-T grad(p) = j times the spatial gradient of the pressure."""
+    """J f^-T grad(p) = j times the spatial gradient of the pressure."""
     return ufl.dot(k.cofactor(), ufl.grad(p))
 
 

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import ufl
-
 from dolfinx import fem, la
+
 from fenicsmpm.mapping.transfer import p2g
 from fenicsmpm.points import MaterialPoints
 

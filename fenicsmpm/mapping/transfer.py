@@ -6,8 +6,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 import numpy.typing as npt
-
 from dolfinx import fem, la
+
 from fenicsmpm.basis import stencil_of
 from fenicsmpm.points import MaterialPoints
 

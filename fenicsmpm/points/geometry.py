@@ -33,7 +33,9 @@ def monomials(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64
     """
     columns = [np.ones(len(xi)), *xi.T]
     if count > len(columns):
-        products = [(0, 1)] if xi.shape[1] == 2 else [(0, 1), (0, 2), (1, 2), (0, 1, 2)]
+        products: list[tuple[int, ...]] = (
+            [(0, 1)] if xi.shape[1] == 2 else [(0, 1), (0, 2), (1, 2), (0, 1, 2)]
+        )
         columns += [np.prod(xi[:, p], axis=1) for p in products]
     return np.stack(columns, axis=1)
 

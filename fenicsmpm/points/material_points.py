@@ -95,7 +95,7 @@ class MaterialPoints:
         self._settle(global_cell)
 
     @property
-    def _comm(self) -> MPI.Comm:
+    def _comm(self) -> MPI.Intracomm:
         return self.mesh.comm
 
     # --- arrays ---------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ class MaterialPoints:
         if name in _READ_ONLY:
             raise ValueError(f"'{name}' cannot be assigned: positions are changed by move()")
         if name == "weight" and not np.all(np.isfinite(value) & (np.asarray(value) > 0)):
-            raise ValueError(f"weights must be positive and finite: {value}")
+            raise ValueError(f"weights must be positive and finite: {value!r}")
         _assign(name, self[name], value)
 
     def field(self, name: str) -> PointField:

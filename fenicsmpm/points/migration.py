@@ -42,7 +42,7 @@ class PointsOutsideError(ValueError):
 
 
 def find_cells(
-    comm: MPI.Comm,
+    comm: MPI.Intracomm,
     locator: Locator,
     x: npt.NDArray[np.float64],
     hint: npt.NDArray[np.int32] | None,
@@ -76,7 +76,7 @@ def find_cells(
 
 
 def _find_elsewhere(
-    comm: MPI.Comm, locator: Locator, x: npt.NDArray[np.float64]
+    comm: MPI.Intracomm, locator: Locator, x: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.int64]:
     """Global cells of points that may be on any rank, -1 for those on none. Collective."""
     start = comm.exscan(len(x)) or 0
@@ -99,7 +99,7 @@ def _find_elsewhere(
 
 
 def _raise_outside(
-    comm: MPI.Comm,
+    comm: MPI.Intracomm,
     total: int,
     indices: npt.NDArray[np.int64],
     positions: npt.NDArray[np.float64],
@@ -113,7 +113,7 @@ def _raise_outside(
 
 
 def owners(
-    comm: MPI.Comm, locator: Locator, global_cell: npt.NDArray[np.int64]
+    comm: MPI.Intracomm, locator: Locator, global_cell: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int32]:
     """Ranks that own the given global cells, shape (n,). Collective."""
     starts = np.array(comm.allgather(locator.geometry.first_global))
@@ -121,7 +121,7 @@ def owners(
 
 
 def exchange(
-    comm: MPI.Comm, destination: npt.NDArray[np.int32], arrays: dict[str, npt.NDArray]
+    comm: MPI.Intracomm, destination: npt.NDArray[np.int32], arrays: dict[str, npt.NDArray]
 ) -> dict[str, npt.NDArray]:
     """Send rows of arrays to other ranks, in one buffer for each destination. Collective.
 

@@ -49,6 +49,8 @@ class LinearSolver:
         for key, value in (DIRECT | (petsc_options or {})).items():
             if not self._options.hasName(key):
                 self._options[key] = value
+            if key in DIRECT:
+                self._options.getString(key)  # "used", so PETSc does not list it at the end
         self.ksp = PETSc.KSP().create(comm)
         self.ksp.setOptionsPrefix(prefix)
         self.ksp.setFromOptions()
@@ -77,8 +79,9 @@ class LinearSolver:
         if reason < 0 or not np.isfinite(x.norm()):
             raise LinearSolverError(
                 f"the linear solver failed ({_reason(reason)}, "
-                f"{self.ksp.getType()} + {self.ksp.getPC().getType()}): the matrix may be singular; "
-                "check the Dirichlet conditions and that equal-order pressure is stabilized"
+                f"{self.ksp.getType()} + {self.ksp.getPC().getType()}): the matrix may be "
+                "singular; check the Dirichlet conditions, and that equal-order pressure is "
+                "stabilized"
             )
         return self.ksp.getIterationNumber()
 

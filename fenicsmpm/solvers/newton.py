@@ -12,8 +12,8 @@ from petsc4py import PETSc
 
 import numpy as np
 import ufl
-
 from dolfinx import fem
+
 from fenicsmpm import _compat, forms
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: MIT
+"""Newton's method, load steps and linear solvers: right answers, and errors that say why."""
+
+import logging
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+
+from fenicsmpm import forms, formulations, points
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.solvers import (
+    LinearSolver,
+    LinearSolverError,
+    NewtonError,
+    NewtonSolver,
+    solve_in_load_steps,
+)
+
+
+class Cubic:
+    """u^3 - c = 0 at every dof by a lumped form: Newton's steps are known by hand."""
+
+    def __init__(self, c=8.0, start=1.0, **options):
+        self.domain = mesh.create_unit_square(MPI.COMM_WORLD, 3, 3)
+        self.body = points.quadrature(self.domain, 2)
+        V = fem.functionspace(self.domain, ("DG", 0))
+        self.u = fem.Function(V)
+        self.u.x.array[:] = start
+        self.c = fem.Constant(self.domain, float(c))
+        v = ufl.TestFunction(V)
+        R = (self.u**3 - self.c) * v * self.body.dx
+        self.solver = NewtonSolver(R, self.u, **options)
+
+
+class Cantilever:
+    """A clamped block, stretched or sheared by its right edge."""
+
+    def __init__(self, n=4, stabilization="asgs", nu=0.5, **options):
+        self.domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n)
+        self.body = points.quadrature(self.domain, 2)
+        W = formulations.mixed_space(self.domain, projections=stabilization == "osgs")
+        self.U, V = fem.Function(W), ufl.TestFunction(W)
+        law = NeoHookean(E=1.0, nu=nu)
+        R = formulations.stabilized(stabilization, self.U, V, self.body, law)
+        V0, _ = W.sub(0).collapse()
+        self.left, self.right = fem.Function(V0), fem.Function(V0)
+        self.bcs = []
+        for x, value in ((0.0, self.left), (1.0, self.right)):
+            facets = mesh.locate_entities_boundary(
+                self.domain, 1, lambda X, x=x: np.isclose(X[0], x)
+            )
+            dofs = fem.locate_dofs_topological((W.sub(0), V0), 1, facets)
+            self.bcs.append(fem.dirichletbc(value, dofs, W.sub(0)))
+        self.solver = NewtonSolver(R, self.U, self.bcs, **options)
+
+    def pull(self, factor):
+        self.right.interpolate(lambda x: factor * np.array([np.full_like(x[0], 0.5), 0 * x[0]]))
+
+
+@pytest.mark.mpi
+def test_newton_by_hand():
+    problem = Cubic(rtol=1e-13)
+    result = problem.solver.solve()
+    u, residuals = 1.0, []
+    area = np.sqrt(18) / 18  # norm of 18 equal entries, one a cell
+    for _ in range(result.iterations + 1):
+        residuals.append(abs(u**3 - 8) * area)
+        u -= (u**3 - 8) / (3 * u**2)
+    assert result.residuals == pytest.approx(residuals, rel=1e-6, abs=1e-11)
+    assert problem.u.x.array == pytest.approx(2.0, rel=1e-12)
+    assert result.step_lengths == [1.0] * result.iterations
+
+
+def test_line_search_cuts_steps():
+    # from 0.1 the first full step leads to 266.7 and a residual 2e6 times as large
+    problem = Cubic(start=0.1, line_search=True, max_iterations=60)
+    result = problem.solver.solve()
+    assert problem.u.x.array == pytest.approx(2.0, rel=1e-8)
+    assert min(result.step_lengths) < 0.1
+    assert np.all(np.diff(result.residuals) < 0)
+
+
+@pytest.mark.mpi
+def test_divergence_leaves_the_state():
+    problem = Cubic(start=0.1, max_iterations=3)
+    with pytest.raises(NewtonError, match=r"diverged: .* after 3 iterations") as caught:
+        problem.solver.solve()
+    assert caught.value.reason == "diverged"
+    assert len(caught.value.residuals) == 4
+    assert np.all(problem.u.x.array == 0.1)
+
+
+@pytest.mark.mpi
+def test_not_finite_names_the_point():
+    problem = Cantilever()
+    problem.U.sub(0).interpolate(lambda x: np.array([-2 * x[0], 0 * x[1]]))  # inverted
+    before = problem.U.x.array.copy()
+    with pytest.raises(
+        NewtonError, match=r"not finite: .* point \d+ in cell \d+ on rank"
+    ) as caught:
+        problem.solver.solve()
+    assert caught.value.reason == "not finite"
+    assert "determinant <= 0" in str(caught.value)
+    assert np.array_equal(problem.U.x.array, before)
+
+
+@pytest.mark.mpi
+def test_singular_matrix_is_reported():
+    problem = Cantilever(stabilization="asgs")
+    problem.solver.bcs = []  # free in space
+    problem.solver.linear = LinearSolver(
+        problem.domain.comm, {"pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_24": 0}
+    )
+    flat = forms.form(
+        fem.Constant(problem.domain, 0.0) * ufl.inner(*two(problem)) * problem.body.dx
+    )
+    A = forms.petsc.assemble_matrix(flat)
+    x, b = A.createVecs()
+    b.set(1.0)
+    with pytest.raises(LinearSolverError, match="may be singular"):
+        problem.solver.linear.solve(A, b, x)
+
+
+def two(problem):
+    W = problem.U.function_space
+    return ufl.TestFunction(W), ufl.TrialFunction(W)
+
+
+@pytest.mark.mpi
+def test_linear_failure_becomes_a_newton_error():
+    problem = Cubic(start=0.0)  # the tangent 3 u^2 is zero
+    with pytest.raises(NewtonError, match="linear solver") as caught:
+        problem.solver.solve()
+    assert caught.value.reason == "linear solver"
+    assert np.all(problem.u.x.array == 0.0)
+    problem.u.x.array[:] = 1.0  # and the solver is still good
+    problem.solver.solve()
+    assert problem.u.x.array == pytest.approx(2.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("stabilization", ["asgs", "osgs"])
+def test_prescribed_displacement(stabilization):
+    problem = Cantilever(stabilization=stabilization)
+    problem.pull(0.2)
+    result = problem.solver.solve()
+    assert result.iterations <= 5
+    volume = forms.assemble_scalar(
+        forms.form(
+            formulations.Kinematics(ufl.split(problem.U)[0], problem.body).j * problem.body.dx
+        )
+    )
+    assert volume == pytest.approx(1.0, abs=2e-3)
+    reached = np.zeros(len(problem.U.x.array))
+    for bc in problem.bcs:
+        bc.set(reached)
+        dofs = bc.dof_indices()[0]
+        assert problem.U.x.array[dofs] == pytest.approx(reached[dofs], abs=1e-14)
+    # solved again from the solution: nothing to do
+    assert problem.solver.solve().iterations == 0
+
+
+def test_load_steps_get_where_one_step_fails():
+    problem = Cantilever(n=6, max_iterations=8)
+    problem.pull(3.0)
+    with pytest.raises(NewtonError):
+        problem.solver.solve()
+    results = solve_in_load_steps(problem.solver, lambda s: problem.pull(3 * s))
+    assert len(results) > 1
+    assert problem.U.x.array[problem.bcs[1].dof_indices()[0]].max() == pytest.approx(1.5)
+    with pytest.raises(ValueError, match="first load step"):
+        solve_in_load_steps(problem.solver, problem.pull, first=2.0)
+
+
+def test_load_steps_give_up():
+    problem = Cantilever(max_iterations=10)
+    with pytest.raises(NewtonError):
+        # pushed through its own clamp
+        solve_in_load_steps(problem.solver, lambda s: problem.pull(-2.2 * s), smallest=0.05)
+    assert np.all(np.isfinite(problem.U.x.array))
+    assert problem.right.x.array.min() > -1.0  # the last load that was reached
+
+
+def test_options_reach_petsc():
+    PETSc.Options()["mine_ksp_rtol"] = 1e-3
+    solver = LinearSolver(
+        MPI.COMM_WORLD, {"ksp_type": "gmres", "pc_type": "jacobi", "ksp_rtol": 1e-9}, prefix="mine_"
+    )
+    assert solver.ksp.getType() == "gmres"
+    assert solver.ksp.getPC().getType() == "jacobi"
+    assert solver.ksp.getTolerances()[0] == 1e-3  # the command line has the last word
+    default = LinearSolver(MPI.COMM_WORLD)
+    assert default.ksp.getType() == "preonly"
+    assert default.ksp.getPC().getFactorSolverType() == "mumps"
+    PETSc.Options().delValue("mine_ksp_rtol")
+
+
+def test_a_line_an_iteration(caplog):
+    with caplog.at_level(logging.INFO, logger="fenicsmpm"):
+        logging.getLogger("fenicsmpm").propagate = True
+        result = Cubic().solver.solve()
+    lines = [r.getMessage() for r in caplog.records]
+    assert "|R|" in lines[0]
+    assert len(lines) == result.iterations + 2
+    assert lines[-1].split()[0] == str(result.iterations)
