@@ -22,7 +22,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import MaterialPoints, forms
+from fenicsmpm import MaterialPoints, _compat, forms
 from fenicsmpm.formulations import asgs, mixed, mixed_space
 from fenicsmpm.materials import NeoHookean
 
@@ -53,7 +53,7 @@ def seed(domain, xi):
     """The same points in every cell."""
     dim = domain.topology.dim
     cells = np.arange(domain.topology.index_map(dim).size_local, dtype=np.int32)
-    corners = domain.geometry.x[domain.geometry.dofmap[cells], :dim]
+    corners = domain.geometry.x[_compat.geometry_dofmap(domain)[cells], :dim]
     edges = corners[:, 1:] - corners[:, :1]
     x = corners[:, :1] + np.einsum("pk,cki->cpi", xi, edges)
     volume = np.abs(np.linalg.det(edges)) / (2 if dim == 2 else 6)

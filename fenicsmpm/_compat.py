@@ -68,7 +68,8 @@ def bc_set(
 
 def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
     """Cell to geometry node map ``(n_cells, n_nodes)`` of a mesh with one cell type."""
-    return mesh.geometry.dofmap
+    geometry = mesh.geometry
+    return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
 
 
 def is_on(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:

@@ -61,7 +61,7 @@ UNSUPPORTED = {
     ),
     "quadrature options": lambda s: s.v * s.dp(degree=3),
     "not linear .* v_0: Applying nonlinear operator": lambda s: s.v**2 * s.dp,
-    "not linear .* differ in rank": lambda s: s.v * s.dp + s.f * s.dp,
+    "not linear .* (differ in rank|non-matching)": lambda s: s.v * s.dp + s.f * s.dp,
     "cells or facets with the arguments v_0 ": lambda s: s.u * s.v * s.dp + s.v * ufl.dx,
     "constant without a value": lambda s: ufl.Constant(s.mesh) * s.v * s.dp,
     "coefficient without values": lambda s: ufl.Coefficient(s.V) * s.v * s.dp,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, la
+from dolfinx.fem.petsc import assemble_matrix
 from forms_table import CELLS, FORMS, SIMPLEX_FORMS, Setting
 
 from fenicsmpm import forms
@@ -51,7 +52,7 @@ def assert_equal(s, form_over_points, form_over_cells):
         scale = gathered(comm, expected.array[:owned])
     else:
         computed = forms.petsc.assemble_matrix(ours)
-        expected = fem.petsc.assemble_matrix(theirs)
+        expected = assemble_matrix(theirs)
         expected.assemble()
         scale = gathered(comm, expected.getValuesCSR()[2])
         expected.axpy(-1.0, computed)

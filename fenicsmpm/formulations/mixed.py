@@ -83,8 +83,7 @@ def parts(U: Any) -> Any:
     """
     split = ufl.split(U)
     shapes = [part.ufl_shape for part in split]
-    dim = U.ufl_function_space().ufl_domain().geometric_dimension()
-    if shapes not in ([(dim,), ()], [(dim,), ()] * 2):
+    if [len(shape) for shape in shapes] not in ([1, 0], [1, 0, 1, 0]):
         raise ValueError(
             f"a mixed space of displacement and pressure is needed, but {U} has parts of shapes "
             f"{shapes}: use mixed_space(mesh)"
