@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, jit, la
+from dolfinx import fem, jit
 
 
 def compile_form(comm: Any, form: ufl.Form, jit_options: dict[str, Any]) -> tuple[Any, Any]:
@@ -77,11 +77,6 @@ def is_on(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
     space = getattr(bc, "function_space", None) or bc._cpp_object.function_space
     space = getattr(space, "_cpp_object", space)
     return V._cpp_object.contains(space)
-
-
-def assemble_ordinary_matrix(A: la.MatrixCSR, a: fem.Form, bcs: list[fem.DirichletBC]) -> None:
-    """Add a dolfinx form to a matrix, constrained rows and columns left out, no diagonal set."""
-    fem.assemble_matrix(A, a, bcs, 0.0)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:

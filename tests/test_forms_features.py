@@ -164,6 +164,30 @@ def test_points_cells_and_facets_in_one_form(cell):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("shapes", [((2,), ()), ((), (2,)), ((2, 2), (2, 2))])
+def test_block_sizes_that_differ_or_are_large(shapes):
+    domain = make_mesh("triangle", n=3)
+    body = points.quadrature(domain, RULE)
+    n = ufl.FacetNormal(domain)
+    V, Q = (fem.functionspace(domain, ("Lagrange", 1, shape)) for shape in shapes)
+    v, q = ufl.TestFunction(V), ufl.TrialFunction(V if shapes[0] == shapes[1] else Q)
+
+    def scalar(f):
+        if not f.ufl_shape:
+            return f
+        return ufl.tr(f) if len(f.ufl_shape) == 2 else ufl.inner(f, n)
+
+    def values(f):
+        return sum(f[i] for i in np.ndindex(f.ufl_shape)) if f.ufl_shape else f
+
+    def a(measure):
+        return values(v) * values(q) * measure + scalar(v) * scalar(q) * ufl.ds
+
+    computed = forms.petsc.assemble_matrix(forms.form(a(body.dx)))
+    assert petsc_close(computed, dolfinx_matrix(a(dx(domain))))
+
+
+@pytest.mark.mpi
 def test_two_point_sets_in_one_form():
     domain = mesh.create_unit_square(MPI.COMM_WORLD, 5, 4)
     body = points.quadrature(domain, RULE)

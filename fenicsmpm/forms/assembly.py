@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp, fem, la
+from dolfinx.fem import petsc
 
 from fenicsmpm import _compat
 from fenicsmpm.forms import loops
@@ -132,7 +133,7 @@ def assemble_matrix(
     A.set_value(0.0)
     fixed = [_marks(V, bcs) for V in a.function_spaces]
     if a.ordinary is not None:
-        _compat.assemble_ordinary_matrix(A, a.ordinary, list(bcs))
+        _add_ordinary(A, a, list(bcs))
     reached = _reached_by_values(A) if a.ordinary is not None else None
     for integral in a.point_integrals:
         sources = integral.lowered.arguments
@@ -162,7 +163,7 @@ def inactive_dofs(a: Form) -> npt.NDArray[np.int32]:
     reached = None
     if a.ordinary is not None and a.rank == 2:
         A = create_matrix(a)
-        _compat.assemble_ordinary_matrix(A, a.ordinary, [])
+        _add_ordinary(A, a, [])
         reached = _reached_by_values(A)
     V = a.function_spaces[0]
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -205,6 +206,21 @@ def apply_lifting(
             dofs = [integral.dofs(s, W) for s, W in zip(sources, form.function_spaces, strict=True)]
             for groups, matrices in integral.element_tensors():
                 loops.lift(matrices, *dofs, integral.groups[groups], fixed, values, b)
+
+
+def _add_ordinary(A: la.MatrixCSR, a: Form, bcs: list[fem.DirichletBC]) -> None:
+    """Add the integrals over cells and facets, without constrained rows and columns."""
+    bs = [V.dofmap.index_map_bs for V in a.function_spaces]
+    if bs[0] == bs[1] <= 3:
+        fem.assemble_matrix(A, a.ordinary, bcs, 0.0)  # no diagonal
+        return
+    # dolfinx fills its own matrices with these block sizes only, so others go through PETSc
+    matrix = petsc.assemble_matrix(a.ordinary, bcs, 0.0)
+    matrix.assemble()
+    indptr, columns, values = matrix.getValuesCSR()
+    local = A.index_map(1).global_to_local(columns.astype(np.int64))
+    loops.add_rows(indptr, local, values, A.indptr, A.indices, A.data)
+    matrix.destroy()
 
 
 def _is_square(a: Form) -> bool:

@@ -218,6 +218,15 @@ def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
 
 
 @numba.njit(cache=True)
+def add_rows(from_indptr, from_columns, values, indptr, indices, data):
+    """Add the first rows of one CSR matrix to those of another with at least its pattern."""
+    for row in range(len(from_indptr) - 1):
+        columns = indices[indptr[row] : indptr[row + 1]]
+        for k in range(from_indptr[row], from_indptr[row + 1]):
+            data[indptr[row] + np.searchsorted(columns, from_columns[k])] += values[k]
+
+
+@numba.njit(cache=True)
 def average_groups(table, weights, offsets):
     """Weighted average of table rows over the points of each group, one row a point."""
     result = np.empty_like(table)

@@ -150,7 +150,7 @@ def _check_functions(functions: Sequence[fem.Function]) -> Any:
             )
         if f.function_space.mesh is not mesh and f.function_space.mesh != mesh:
             raise ValueError(f"function {f.name!r} is on another mesh than {names[0]!r}")
-    if mesh.geometry.cmap.degree != 1:
+    if mesh.ufl_domain().ufl_coordinate_element().degree != 1:
         raise ValueError("only meshes of straight cells can be gathered")
     return mesh
 
