@@ -272,7 +272,7 @@ def plot(errors, seedings, sizes, path):
         ax.set_xlabel("h [m]")
         ax.set_ylabel(f"relative L2 error of the {title} [-]")
         ax.grid(alpha=0.3)
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, handlelength=3)
     figure.savefig(path, dpi=160)
 
 
