@@ -15,7 +15,7 @@ from dolfinx import fem
 from fenicsmpm.basis import stencil_of
 from fenicsmpm.forms import linear_loops, loops
 from fenicsmpm.forms.geometry import geometry_values
-from fenicsmpm.forms.kernels import COORDINATES, compile_pointwise
+from fenicsmpm.forms.kernels import compile_pointwise
 from fenicsmpm.forms.lowering import Source, lower
 from fenicsmpm.forms.slots import SlotTable, slot_table
 from fenicsmpm.points import MaterialPoints
@@ -219,7 +219,7 @@ class PointIntegral:
                 result[:] = 0.0
                 yield groups, result
                 continue
-            common = (kernel.address, COORDINATES, offsets, weights)
+            common = (kernel.address, offsets, weights)
             inputs = self.inputs(groups, points, plain)
             if len(arguments) == 0:
                 loops.element_scalars(*common, inputs, result)
@@ -242,7 +242,7 @@ class PointIntegral:
         result = np.zeros((len(self.rows), size))
         for groups, points in self.batches():
             inputs = self.inputs(groups, points, plain)
-            loops.evaluate_points(self.kernel.address, COORDINATES, inputs, result[points])
+            loops.evaluate_points(self.kernel.address, inputs, result[points])
         return result.reshape(len(self.rows), *self.kernel.shape)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
@@ -88,3 +89,10 @@ def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignor
         return context.get_dummy_value()
 
     return signature, codegen
+
+
+@numba.njit(cache=True)
+def evaluate_kernel(address, tensor, inputs):  # type: ignore[no-untyped-def]
+    """Set ``tensor`` to what a kernel makes of one point's inputs."""
+    tensor[:] = 0.0  # kernels add to their output
+    call_kernel(address, tensor.ctypes.data, inputs.ctypes.data, COORDINATES.ctypes.data)

@@ -12,7 +12,7 @@ group instead of once for each point.
 import numba
 import numpy as np
 
-from fenicsmpm.forms.kernels import call_kernel
+from fenicsmpm.forms.kernels import evaluate_kernel
 from fenicsmpm.forms.loops import contract_matrix, contract_vector
 
 
@@ -59,7 +59,7 @@ def gather_function(
 
 @numba.njit(cache=True, parallel=True)
 def element_vectors(
-    address, coordinates, offsets, weights, rows, inputs, x, values,
+    address, offsets, weights, rows, inputs, x, values,
     basis, column, length, start, result,
 ):  # fmt: skip
     """As ``loops.element_vectors``; x ``(n_points, d)`` positions, extended slots."""
@@ -70,13 +70,7 @@ def element_vectors(
         moments = np.zeros(len(column))
         first = offsets[i]
         for k in range(first, offsets[i + 1]):
-            tensor[:] = 0.0
-            call_kernel(
-                address,
-                tensor.ctypes.data,
-                inputs[k - offsets[0]].ctypes.data,
-                coordinates.ctypes.data,
-            )
+            evaluate_kernel(address, tensor, inputs[k - offsets[0]])
             for s in range(n0):
                 moments[s] += weights[k] * tensor[s]
             for v in range(len(values)):
@@ -89,7 +83,7 @@ def element_vectors(
 
 @numba.njit(cache=True, parallel=True)
 def element_matrices(
-    address, coordinates, offsets, weights, rows, inputs, x, values0, values1,
+    address, offsets, weights, rows, inputs, x, values0, values1,
     basis0, column0, length0, start0, basis1, column1, length1, start1, result,
 ):  # fmt: skip
     """As ``loops.element_matrices``; x ``(n_points, d)`` positions, extended slots."""
@@ -103,13 +97,7 @@ def element_matrices(
         moments = np.zeros((len(column1), len(column0)))
         first = offsets[i]
         for k in range(first, offsets[i + 1]):
-            flat[:] = 0.0
-            call_kernel(
-                address,
-                tensor.ctypes.data,
-                inputs[k - offsets[0]].ctypes.data,
-                coordinates.ctypes.data,
-            )
+            evaluate_kernel(address, flat, inputs[k - offsets[0]])
             weight = weights[k]
             for s in range(n1 * n0):
                 total[s] += weight * flat[s]

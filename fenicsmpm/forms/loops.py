@@ -11,7 +11,7 @@ does not depend on the number of threads.
 import numba
 import numpy as np
 
-from fenicsmpm.forms.kernels import call_kernel
+from fenicsmpm.forms.kernels import evaluate_kernel
 
 
 @numba.njit(cache=True, parallel=True)
@@ -45,54 +45,38 @@ def gather_function(
 
 
 @numba.njit(cache=True, parallel=True)
-def evaluate_points(address, coordinates, inputs, tensors):
+def evaluate_points(address, inputs, tensors):
     """Kernel's output at each point, ``tensors (n_points, n)``, zeroed first."""
     for k in numba.prange(len(inputs)):
-        tensors[k] = 0.0
-        call_kernel(address, tensors[k].ctypes.data, inputs[k].ctypes.data, coordinates.ctypes.data)
+        evaluate_kernel(address, tensors[k], inputs[k])
 
 
 @numba.njit(cache=True, parallel=True)
-def element_scalars(address, coordinates, offsets, weights, inputs, result):
+def element_scalars(address, offsets, weights, inputs, result):
     """Integral over each group's points into ``result (n_groups,)``."""
     for i in numba.prange(len(offsets) - 1):
         tensor = np.empty(1)
         result[i] = 0.0
         for k in range(offsets[i], offsets[i + 1]):
-            tensor[0] = 0.0
-            call_kernel(
-                address,
-                tensor.ctypes.data,
-                inputs[k - offsets[0]].ctypes.data,
-                coordinates.ctypes.data,
-            )
+            evaluate_kernel(address, tensor, inputs[k - offsets[0]])
             result[i] += weights[k] * tensor[0]
 
 
 @numba.njit(cache=True, parallel=True)
-def element_vectors(
-    address, coordinates, offsets, weights, rows, inputs, basis, column, length, start, result
-):
+def element_vectors(address, offsets, weights, rows, inputs, basis, column, length, start, result):
     """b_K = sum_p V_p B^T D into ``result (n_groups, n_local)``."""
     n_slots = len(column)
     for i in numba.prange(len(offsets) - 1):
         tensor = np.empty(n_slots)
         result[i] = 0.0
         for k in range(offsets[i], offsets[i + 1]):
-            tensor[:] = 0.0
-            call_kernel(
-                address,
-                tensor.ctypes.data,
-                inputs[k - offsets[0]].ctypes.data,
-                coordinates.ctypes.data,
-            )
+            evaluate_kernel(address, tensor, inputs[k - offsets[0]])
             contract_vector(tensor, weights[k], basis[rows[k]], column, length, start, result[i])
 
 
 @numba.njit(cache=True, parallel=True)
 def element_matrices(
     address,
-    coordinates,
     offsets,
     weights,
     rows,
@@ -117,13 +101,7 @@ def element_matrices(
         half = np.empty((result.shape[2], n0))
         result[i] = 0.0
         for k in range(offsets[i], offsets[i + 1]):
-            tensor[:] = 0.0
-            call_kernel(
-                address,
-                tensor.ctypes.data,
-                inputs[k - offsets[0]].ctypes.data,
-                coordinates.ctypes.data,
-            )
+            evaluate_kernel(address, tensor, inputs[k - offsets[0]])
             row0 = basis0[rows[k]]
             row1 = basis1[rows[k]]
             contract_matrix(

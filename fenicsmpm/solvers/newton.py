@@ -144,7 +144,7 @@ class NewtonSolver:
             forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
             if gap > 0.0:
                 # the constrained values are still to be reached: the step moves all of U with them
-                norm = self._lift()
+                norm = self._residual_norm(lifted=True)
                 reference = max(reference, norm)
             try:
                 self.linear.solve(self._A, self._b, self._step)
@@ -183,19 +183,26 @@ class NewtonSolver:
         self._require_finite(new, result, f"in iteration {result.iterations + 1}")
         return new, length
 
-    def _residual_norm(self) -> float:
-        """Assemble R(U) into b; constrained entries become U - g, which the norm leaves out."""
-        b = self._b
+    def _residual_norm(self, lifted: bool = False) -> float:
+        """Assemble R(U) into b; constrained entries become U - g, which the norm leaves out.
+
+        Args:
+            lifted: subtract J (g - U) for a step that ends on the Dirichlet data.
+        """
+        b, x = self._b, self.U.x.array
         with b.localForm() as local:
             local.set(0.0)
         forms.petsc.assemble_vector(self.R, b)
+        if lifted:
+            with b.localForm() as local:
+                forms.apply_lifting(local.array_w, [self.J], [self.bcs], [x], -1.0)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        zero = np.zeros_like(b.array_r)
+        owned = len(b.array_r)
         for bc in self.bcs:
-            _compat.bc_set(bc, b.array_w, zero, 0.0)
+            _compat.bc_set(bc, b.array_w, np.zeros(owned), 0.0)
         norm = b.norm()
         for bc in self.bcs:
-            _compat.bc_set(bc, b.array_w, self.U.x.array[: len(zero)], -1.0)
+            _compat.bc_set(bc, b.array_w, x[:owned], -1.0)
         return norm
 
     def _gap(self) -> float:
@@ -208,24 +215,6 @@ class NewtonSolver:
         local = float(np.max(np.abs(gap), initial=0.0))
         comm = self.J.mesh.comm
         return max(comm.allgather(local if local > 1e-14 * scale else 0.0))
-
-    def _lift(self) -> float:
-        """Assemble b again for a step that ends on the Dirichlet data; norm on free dofs."""
-        b = self._b
-        with b.localForm() as local:
-            local.set(0.0)
-        forms.petsc.assemble_vector(self.R, b)
-        x = self.U.x.array
-        with b.localForm() as local:
-            forms.apply_lifting(local.array_w, [self.J], [self.bcs], [x], -1.0)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        zero = np.zeros_like(b.array_r)
-        for bc in self.bcs:
-            _compat.bc_set(bc, b.array_w, zero, 0.0)
-        norm = b.norm()
-        for bc in self.bcs:
-            _compat.bc_set(bc, b.array_w, x[: len(zero)], -1.0)
-        return norm
 
     def _require_finite(self, norm: float, result: NewtonResult, when: str) -> None:
         if not np.isfinite(norm):
