@@ -53,7 +53,7 @@ def check_input(
     try:
         data["weight"] = _column("weight", weight, n, np.float64)
         data["tag"] = _column("tag", tag, n, np.int32)
-        _check_weight(data["weight"])
+        check_weight(data["weight"])
         if cells is not None:
             data["cell"] = _column("cells", cells, n, np.int32)
             _check_cells(data["cell"], locator.geometry.num_cells, -1 if xi is None else 0)
@@ -124,7 +124,8 @@ def _column(name: str, value: npt.ArrayLike, n: int, dtype: type) -> npt.NDArray
     return column
 
 
-def _check_weight(weight: npt.NDArray[np.float64]) -> None:
+def check_weight(weight: npt.NDArray[np.float64]) -> None:
+    """Raise a ValueError unless all weights, shape (n,), are positive and finite."""
     bad = np.flatnonzero(~((weight > 0.0) & np.isfinite(weight)))
     if len(bad):
         raise ValueError(
@@ -152,3 +153,14 @@ def _check_reference(locator: Locator, data: Mapping[str, npt.NDArray]) -> None:
             f"xi and cells do not give the positions: {len(bad)} of {len(x)}, first point {bad[0]} "
             f"at {x[bad[0]]}; leave xi out to have the points located"
         )
+
+
+def assign(name: str, array: npt.NDArray, value: npt.ArrayLike) -> None:
+    """Fill a field, telling values a point from one value for all."""
+    given = np.asarray(value)
+    if given.shape not in (array.shape, array.shape[1:], ()):
+        raise ValueError(
+            f"field '{name}' needs a value of shape {array.shape[1:]} or values of shape "
+            f"{array.shape}, not {given.shape}"
+        )
+    array[...] = given

@@ -12,7 +12,14 @@ import ufl
 from dolfinx.mesh import Mesh
 
 from fenicsmpm.points.agreement import raise_together
-from fenicsmpm.points.checks import check_fields, check_input, check_positions, check_selection
+from fenicsmpm.points.checks import (
+    assign,
+    check_fields,
+    check_input,
+    check_positions,
+    check_selection,
+    check_weight,
+)
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import exchange, find_cells, owners
 from fenicsmpm.points.point_field import PointField
@@ -166,7 +173,7 @@ class MaterialPoints:
         if name in self:
             raise ValueError(f"there is already a field '{name}': assign to points['{name}']")
         array = np.empty((len(self), *shape))
-        _assign(name, array, value)
+        assign(name, array, value)
         self._data[name] = array
         return array
 
@@ -191,9 +198,9 @@ class MaterialPoints:
         """Fill the array of an existing field with a value of shape (n, *shape) or (*shape)."""
         if name in _READ_ONLY:
             raise ValueError(f"'{name}' cannot be assigned: positions are changed by move()")
-        if name == "weight" and not np.all(np.isfinite(value) & (np.asarray(value) > 0)):
-            raise ValueError(f"weights must be positive and finite: {value!r}")
-        _assign(name, self[name], value)
+        if name == "weight":
+            check_weight(np.atleast_1d(np.asarray(value, dtype=np.float64)))
+        assign(name, self[name], value)
 
     def field(self, name: str) -> PointField:
         """A field as a coefficient for UFL forms over these points.
@@ -400,14 +407,3 @@ class MaterialPoints:
                 f"fields: {fields}"
             )
         return head
-
-
-def _assign(name: str, array: npt.NDArray, value: npt.ArrayLike) -> None:
-    """Fill a field, telling values a point from one value for all."""
-    given = np.asarray(value)
-    if given.shape not in (array.shape, array.shape[1:], ()):
-        raise ValueError(
-            f"field '{name}' needs a value of shape {array.shape[1:]} or values of shape "
-            f"{array.shape}, not {given.shape}"
-        )
-    array[...] = given
