@@ -66,6 +66,7 @@ UNSUPPORTED = {
     "constant without a value": lambda s: ufl.Constant(s.mesh) * s.v * s.dp,
     "coefficient without values": lambda s: ufl.Coefficient(s.V) * s.v * s.dp,
     "cell_avg of a nonlinear .* f": lambda s: ufl.cell_avg(s.f**2) * s.v * s.dp,
+    "type complex128": lambda s: fem.Constant(s.mesh, 1j) * s.v * s.dp,
     "facet average": lambda s: ufl.facet_avg(s.f) * s.v * s.dp,
     "PointField for values": lambda s: (
         fem.Function(

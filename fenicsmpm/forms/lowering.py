@@ -233,6 +233,7 @@ class _Lowering:
         if isinstance(item, ufl.Constant):
             if not isinstance(item, fem.Constant):
                 raise UnsupportedFormError(f"constant without a value: {item}. Use fem.Constant.")
+            _require_float64(item, item.dtype)
             return self._plain(item, item.ufl_shape, average=False)
         if isinstance(item, GeometricQuantity):
             if name in POINT_GEOMETRY:
@@ -256,6 +257,8 @@ class _Lowering:
             )
         if isinstance(item, Coefficient) and not isinstance(item, fem.Function):
             raise UnsupportedFormError(f"coefficient without values: {item}. Use fem.Function.")
+        if isinstance(item, fem.Function):
+            _require_float64(item, item.dtype)
         if item not in self.sources:
             new = Layout(space.ufl_element(), self.dim)
             self._add(item, new, new.n_slots)
@@ -340,6 +343,11 @@ class _Lowering:
             return PointwiseForm(None, arguments, inputs)
         measure = ufl.Measure("dx", domain=_INTERVAL, metadata=_ONE_POINT)
         return PointwiseForm(memo[expression] * measure, arguments, inputs)
+
+
+def _require_float64(item: Any, dtype: Any) -> None:
+    if dtype != np.float64:
+        raise UnsupportedFormError(f"values of type {dtype} over material points: {item}")
 
 
 def _positions(used: npt.NDArray[np.int64], offset: int) -> dict[int, int]:
