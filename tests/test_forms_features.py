@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """What forms over points offer beyond plain integrals: tags, averages, conditions, evaluation."""
 
+import logging
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -407,3 +409,36 @@ def test_evaluate_expressions():
     assert not partly_zero[:, [0, 2]].any()
     body["F"] = forms.evaluate(ufl.Identity(3) + ufl.grad(u), body)
     assert body["F"] == pytest.approx(np.eye(3) + gradient, abs=1e-12)
+
+
+@pytest.mark.mpi
+def test_copies_have_fields_of_their_own():
+    domain = make_mesh("triangle")
+    body = points.quadrature(domain, 2)
+    body.add_field("s", (), 2.0)
+    body.field("s")
+    for twin in (body.copy(), body.select(lambda x: x[:, 0] < 0.5)):
+        twin["s"] = 3.0
+        integral = forms.assemble_scalar(forms.form(twin.field("s") * twin.dx))
+        assert integral == pytest.approx(3 * twin.volume, rel=1e-12)
+
+
+@pytest.mark.mpi
+def test_cell_sizes_follow_the_mesh():
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+    for side in (1.0, 3.0):
+        domain.geometry.x[:] *= side
+        body = points.quadrature(domain, 2)
+        M = forms.form(ufl.CellVolume(domain) * ufl.Circumradius(domain) * body.dx)
+        expected = side**2 * side**2 / 8 * side * np.sqrt(2) / 4
+        assert forms.assemble_scalar(M) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_tag_without_points_is_a_warning(caplog):
+    body = points.quadrature(make_mesh("triangle"), 2)
+    logger = logging.getLogger("fenicsmpm")
+    logger.propagate = True
+    with caplog.at_level(logging.WARNING, logger="fenicsmpm"):
+        M = forms.form(fem.Constant(body.mesh, 1.0) * body.dx(7))
+    assert "no point has the tag 7" in caplog.text
+    assert forms.assemble_scalar(M) == 0.0

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,10 @@ def geometry_values(
     rows: npt.NDArray[np.int64],
     order: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.float64]:
-    """Evaluate a geometric quantity at points.
+    """Evaluate a geometric quantity that varies within cells at points.
 
     Args:
-        quantity: one of the UFL geometric quantities named in ``lowering``.
+        quantity: one of the UFL quantities of ``lowering.POINT_GEOMETRY``.
         stencil: the points' stencil.
         points: the point set.
         rows: ``(n,)`` table rows of the points to evaluate at.
@@ -37,36 +36,27 @@ def geometry_values(
     name = type(quantity).__name__
     if name == "SpatialCoordinate":
         return points.x[order]
-    if name.startswith("Jacobian"):
-        jacobian = stencil.jacobian()[rows]
-        if name == "Jacobian":
-            values = jacobian
-        elif name == "JacobianInverse":
-            values = np.linalg.inv(jacobian)
-        else:
-            values = np.linalg.det(jacobian)
-        return values.reshape(len(rows), int(np.prod(values.shape[1:], dtype=int)))
-    return cell_values(quantity, points.mesh)[points.cell[order]].reshape(-1, 1)
-
-
-# the background mesh does not move, so the sizes of its cells are computed once
-_cell_values: weakref.WeakKeyDictionary[Any, dict[str, npt.NDArray[np.float64]]]
-_cell_values = weakref.WeakKeyDictionary()
+    jacobian = stencil.jacobian()[rows]
+    if name == "Jacobian":
+        values = jacobian
+    elif name == "JacobianInverse":
+        values = np.linalg.inv(jacobian)
+    else:
+        values = np.linalg.det(jacobian)
+    return values.reshape(len(rows), int(np.prod(values.shape[1:], dtype=int)))
 
 
 def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
     """``(n_cells,)`` values of a quantity that is constant in each cell, by dolfinx itself.
 
+    Collective.
+
     Args:
         quantity: UFL cell size such as ``CellVolume``.
         mesh: dolfinx mesh.
     """
-    name = type(quantity).__name__
-    known = _cell_values.setdefault(mesh, {})
-    if name in known:
-        return known[name]
     space = fem.functionspace(mesh, ("DG", 0))
-    if name == "CellVolume":
+    if type(quantity).__name__ == "CellVolume":
         # exact for cells that are not affine, for which UFL has no formula
         values = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
     else:
@@ -74,5 +64,4 @@ def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
         points = _compat.interpolation_points(space)
         function.interpolate(fem.Expression(quantity, points))
         values = function.x.array
-    known[name] = values[space.dofmap.list[:, 0]]
-    return known[name]
+    return values[space.dofmap.list[:, 0]]

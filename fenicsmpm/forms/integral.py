@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from typing import Any
+
+from mpi4py import MPI
 
 import numba
 import numpy as np
@@ -14,12 +17,14 @@ from dolfinx import fem
 
 from fenicsmpm.basis import stencil_of
 from fenicsmpm.forms import linear_loops, loops
-from fenicsmpm.forms.geometry import geometry_values
+from fenicsmpm.forms.geometry import cell_values, geometry_values
 from fenicsmpm.forms.kernels import compile_pointwise
-from fenicsmpm.forms.lowering import Source, lower
+from fenicsmpm.forms.lowering import CELL_GEOMETRY, Source, lower
 from fenicsmpm.forms.slots import SlotTable, slot_table
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
+
+logger = logging.getLogger(__name__)
 
 # Points of a batch and thread: its inputs and element tensors should stay in the cache
 _BATCH = 4096
@@ -48,12 +53,26 @@ class PointIntegral:
         """Lower and compile (collective)."""
         self.points = points
         self.tags = tags
+        if tags is not None:
+            self._warn_of_unknown_tags()
         self.stencil = stencil_of(points)
         self.lowered = lower(integrand, points.mesh)
         self.kernel = compile_pointwise(points.mesh.comm, self.lowered, jit_options)
+        # the background mesh does not move as long as it has these points
+        self._cell_values = {
+            id(source): cell_values(source.item, points.mesh)
+            for source in self.lowered.inputs
+            if type(source.item).__name__ in CELL_GEOMETRY
+        }
         self._version: Any = None
         self._tables: dict[int, SlotTable] = {}
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
+
+    def _warn_of_unknown_tags(self) -> None:
+        comm = self.points.mesh.comm
+        for tag in self.tags or ():
+            if not comm.allreduce(bool(np.any(self.points.tag == tag)), MPI.LOR):
+                logger.warning("no point has the tag %d of an integral: it is zero by now", tag)
 
     # --- the selected points -----------------------------------------------------------------
 
@@ -139,6 +158,8 @@ class PointIntegral:
                     f"{self.points!r}: use a field of the same points"
                 )
             values = self._in_group_order(item.values).reshape(len(self.order), source.size // 2)
+        elif id(source) in self._cell_values:
+            values = self._cell_values[id(source)][self.points.cell[self.order], None]
         else:
             values = geometry_values(item, self.stencil, self.points, self.rows, self.order)
         size = source.size // 2

@@ -112,7 +112,7 @@ def element_matrices(
 
 @numba.njit(cache=True)
 def contract_vector(tensor, weight, row, column, length, start, result):
-    """Result += weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
+    """Add weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
     for s in range(len(column)):
         factor = weight * tensor[s]
         for a in range(length[s]):
@@ -123,7 +123,7 @@ def contract_vector(tensor, weight, row, column, length, start, result):
 def contract_matrix(
     tensor, weight, row0, column0, length0, start0, row1, column1, length1, start1, half, result
 ):
-    """Result += weight B0^T D B1 with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
+    """Add weight B0^T D B1 with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
     n0 = len(column0)
     half[:] = 0.0
     for t in range(len(column1)):

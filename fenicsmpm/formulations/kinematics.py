@@ -54,7 +54,7 @@ class Kinematics:
         self.J = self.j * self.J_n
 
     def cofactor(self) -> Any:
-        """J f^-T, without a division: turns areas of step n and gradients times j."""
+        """Cofactor j f^-T, without a division: turns areas of step n and gradients times j."""
         f = self.f
         if f.ufl_shape == (2, 2):
             return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])

@@ -11,6 +11,7 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.forms.slots import leaves_of
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.mixed import mixed, parts, volumetric_residual
 from fenicsmpm.mapping import FilledFraction
@@ -21,7 +22,7 @@ STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
 
 
 def element_size(points: MaterialPoints) -> Any:
-    """H = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
+    """Cell size h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
     mesh = points.mesh
     return ufl.CellVolume(mesh.ufl_domain()) ** (1 / mesh.geometry.dim)
 
@@ -78,6 +79,8 @@ def asgs(
 ) -> ufl.Form:
     """Algebraic subgrid scales: subscales are the residuals times tau (VMS, section 4).
 
+    The divergence of the deviatoric stress, zero for linear triangles and tetrahedra, is left out.
+
     Args:
         U: increment of displacement [m] and pressure [Pa].
         V: test function.
@@ -127,6 +130,11 @@ def osgs(
         raise ValueError(
             f"OSGS needs a space of (u, p, Pi_u, Pi_p), not {len(unknowns)} parts: "
             "use mixed_space(mesh, projections=True)"
+        )
+    if any(leaf.element.degree != 1 for leaf in leaves_of(U.function_space.ufl_element())):
+        raise ValueError(
+            "OSGS is for linear functions: its lumped projection by the vertices has no meaning "
+            f"for {U.function_space.ufl_element()}"
         )
     Pi_u, Pi_p = unknowns[2:]
     eta_u, eta_p = parts(V)[2:]
@@ -198,7 +206,7 @@ def residuals(
 
 
 def _pressure_force(k: Kinematics, p: Any) -> Any:
-    """J f^-T grad(p) = j times the spatial gradient of the pressure."""
+    """Vector j f^-T grad(p) = j times the spatial gradient of the pressure."""
     return ufl.dot(k.cofactor(), ufl.grad(p))
 
 

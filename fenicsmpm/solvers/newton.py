@@ -219,4 +219,8 @@ class NewtonSolver:
     def _require_finite(self, norm: float, result: NewtonResult, when: str) -> None:
         if not np.isfinite(norm):
             where = forms.describe_not_finite(self.R)
-            raise NewtonError("not finite", f"|R| = {norm} {when}; {where}", result.residuals)
+            raise NewtonError(
+                "not finite",
+                f"|R| = {norm} {when}; {where}. Try smaller load steps or line_search",
+                result.residuals,
+            )
