@@ -96,6 +96,7 @@ def test_unsupported_form(message):
 WRONG = {
     "on different meshes": lambda s: s.far * s.v * s.dp,
     "different meshes: define": lambda s: s.far * s.dp,
+    "rank 0, 1 or 2": lambda s: s.u * s.v * ufl.Argument(s.V, 2) * s.dp,
     "identically zero": lambda s: 0 * s.f * s.dp,
     "without a dolfinx function space": lambda s: (
         ufl.TestFunction(

@@ -442,3 +442,89 @@ def test_a_tag_without_points_is_a_warning(caplog):
         M = forms.form(fem.Constant(body.mesh, 1.0) * body.dx(7))
     assert "no point has the tag 7" in caplog.text
     assert forms.assemble_scalar(M) == 0.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", CELLS)
+def test_ranks_without_points(cell):
+    domain = make_mesh(cell)
+    here = domain.comm.rank == 0
+    x = np.full((1, domain.geometry.dim), 0.2) if here else np.empty((0, domain.geometry.dim))
+    body = points.MaterialPoints(domain, x, 2.0)
+    V = fem.functionspace(domain, ("Lagrange", 2))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    b = forms.assemble_vector(forms.form(ufl.cell_avg(v) * body.dx))
+    total = domain.comm.allreduce(float(owned_array(b).sum()))
+    assert total == pytest.approx(2.0)
+    forms.petsc.assemble_matrix(forms.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * body.dx))
+    body.remove(np.arange(len(body)))
+    assert forms.assemble_scalar(forms.form(fem.Constant(domain, 1.0) * body.dx)) == 0.0
+
+
+@pytest.mark.mpi
+def test_average_with_uniform_factors():
+    domain = make_mesh("triangle")
+    body = points.random(domain, 4, seed=1)
+    V = fem.functionspace(domain, ("Lagrange", 1))
+    f, c = fem.Function(V), fem.Constant(domain, 3.0)
+    k = fem.Constant(domain, (1.0, 2.0))
+    f.interpolate(smooth)
+    size = ufl.CellVolume(domain)
+    for inside, outside in (
+        (c * f, c * ufl.cell_avg(f)),
+        (f / c, ufl.cell_avg(f) / c),
+        (size * f, size * ufl.cell_avg(f)),
+        (ufl.dot(k, ufl.grad(f)), ufl.dot(k, ufl.cell_avg(ufl.grad(f)))),
+    ):
+        a = forms.evaluate(ufl.cell_avg(inside), body)
+        assert a == pytest.approx(forms.evaluate(outside, body), rel=1e-13, abs=1e-14)
+
+
+@pytest.mark.mpi
+def test_projection_follows_the_points():
+    """The lumped mass of OSGS is that of the points as they are at assembly."""
+    from fenicsmpm import formulations, materials
+
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+    body = points.quadrature(domain, 2)
+    W = formulations.mixed_space(domain, projections=True)
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    U.x.array[:] = 0.01
+    law = materials.NeoHookean(E=1.0, nu=0.5)
+    R = forms.form(formulations.osgs(U, V, body, law))
+    forms.assemble_vector(R)
+    body.move(0.7 * np.asarray(body.x))
+    body["weight"] = 0.49 * body.weight
+    moved = owned_array(forms.assemble_vector(R))
+    anew = owned_array(forms.assemble_vector(forms.form(formulations.osgs(U, V, body, law))))
+    assert close(domain.comm, moved, anew)
+
+
+def test_points_on_edges_do_not_see_the_functions_behind():
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 4, 4, mesh.CellType.quadrilateral)
+    edge = points.on_facets(domain, lambda x: np.isclose(x[:, 0], 0.0), degree=2)
+    V = fem.functionspace(domain, ("Lagrange", 1))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = forms.form(u * v * edge.dx)
+    seen = np.setdiff1d(np.arange(25), forms.inactive_dofs(a))
+    assert np.allclose(V.tabulate_dof_coordinates()[seen, 0], 0.0) and len(seen) == 5
+    assert np.linalg.matrix_rank(forms.assemble_matrix(a).to_dense()) == 25
+    # but their gradients are seen
+    b = forms.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * edge.dx)
+    assert len(forms.inactive_dofs(b)) == 15
+
+
+def test_matrices_and_vectors_of_other_forms():
+    domain = make_mesh("triangle")
+    body = points.quadrature(domain, 2)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    on_boundary = forms.create_matrix(forms.form(ufl.inner(u, v) * ufl.ds))
+    a = forms.form(ufl.inner(u, v) * body.dx)
+    with pytest.raises(ValueError, match="matrix made for another form"):
+        forms.assemble_matrix(a, A=on_boundary)
+    blocked = fem.create_matrix(fem.form(ufl.inner(u, v) * ufl.dx))
+    with pytest.raises(ValueError, match=r"block sizes \[2, 2\]"):
+        forms.assemble_matrix(a, A=blocked)
+    with pytest.raises(ValueError, match="vector of 3 entries"):
+        forms.apply_lifting(np.zeros(3), [a], [[]])

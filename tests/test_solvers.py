@@ -40,13 +40,13 @@ class Cubic:
 class Cantilever:
     """A clamped block, stretched or sheared by its right edge."""
 
-    def __init__(self, n=4, stabilization="asgs", nu=0.5, **options):
+    def __init__(self, n=4, stabilization="asgs", nu=0.5, E=1.0, **options):
         self.domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n)
         self.body = points.quadrature(self.domain, 2)
         W = formulations.mixed_space(self.domain, projections=stabilization == "osgs")
         self.U, V = fem.Function(W), ufl.TestFunction(W)
-        law = NeoHookean(E=1.0, nu=nu)
-        R = formulations.stabilized(stabilization, self.U, V, self.body, law)
+        law = NeoHookean(E=E, nu=nu)
+        self.R = R = formulations.stabilized(stabilization, self.U, V, self.body, law)
         V0, _ = W.sub(0).collapse()
         self.left, self.right = fem.Function(V0), fem.Function(V0)
         self.bcs = []
@@ -208,3 +208,43 @@ def test_a_line_an_iteration(caplog):
     assert "|R|" in lines[0]
     assert len(lines) == result.iterations + 2
     assert lines[-1].split()[0] == str(result.iterations)
+
+
+@pytest.mark.mpi
+def test_large_moduli_and_small_changes():
+    """Residuals of 1e-5 N are round-off where forces are 1e10 N; small motions are motions."""
+    problem = Cantilever(stabilization="ppp", E=2e11)
+    problem.pull(0.1)
+    problem.solver.solve()
+    # solved already: a new start from the solution must not ask for less than round-off
+    again = NewtonSolver(problem.R, problem.U, problem.bcs)
+    assert again.solve().iterations <= 2
+    for change in (1e-4, 1e-6):
+        problem.pull(0.1 + change)
+        result = problem.solver.solve()
+        assert 1 <= result.iterations <= 4
+        moved = problem.U.x.array[problem.bcs[1].dof_indices()[0]]
+        reached = max(problem.domain.comm.allgather(np.max(moved, initial=0.0)))
+        assert reached == pytest.approx(0.05 + change / 2, rel=1e-13)
+
+
+@pytest.mark.mpi
+def test_driven_wall_without_material():
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 6, 6)
+    body = points.quadrature(domain, 2, inside=lambda x: x[:, 0] > 0.5)
+    V = fem.functionspace(domain, ("Lagrange", 1))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.0))
+    bc = fem.dirichletbc(fem.Constant(domain, 2.0), dofs, V)
+    R = (ufl.inner(ufl.grad(u), ufl.grad(v)) + u * v) * body.dx
+    NewtonSolver(R, u, [bc]).solve()
+    assert u.x.array[dofs] == pytest.approx(2.0)
+    assert np.sum(u.x.array != 0.0) == len(dofs)
+
+
+def test_condition_on_another_space():
+    problem = Cubic()
+    twin = fem.functionspace(problem.domain, ("DG", 0))
+    problem.solver.bcs = [fem.dirichletbc(1.0, np.array([0], dtype=np.int32), twin)]
+    with pytest.raises(ValueError, match="another function space"):
+        problem.solver.solve()

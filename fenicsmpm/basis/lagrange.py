@@ -94,13 +94,17 @@ class LagrangeStencil:
     def _cells(self) -> npt.NDArray[np.int32]:
         return self.points.cell[self.points.order]
 
-    def _reference_coordinates(self) -> npt.NDArray[np.float64]:
-        return self.points.xi[self.points.order]
+    def _tabulate_reference(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
+        """``(n_derivatives, n_points, n_nodes)`` in basix' order of derivatives."""
+        xi = self.points.xi[self.points.order]
+        if len(xi) == 0:  # basix wants a point
+            return element.tabulate(derivatives, np.zeros((1, xi.shape[1])))[:, :0, :, 0]
+        return element.tabulate(derivatives, xi)[..., 0]
 
     def _tabulate_geometry(self, derivatives: int) -> tuple[npt.NDArray[np.float64], Any]:
         mesh = self.points.mesh
         element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
-        reference = element.tabulate(derivatives, self._reference_coordinates())[..., 0]
+        reference = self._tabulate_reference(element, derivatives)
         dim = mesh.geometry.dim
         nodes = mesh.geometry.x[_compat.geometry_dofmap(mesh)[self._cells()], :dim]
         return reference, nodes
@@ -112,7 +116,7 @@ class LagrangeStencil:
 
     def _tabulate(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         dim = self.points.mesh.geometry.dim
-        reference = element.tabulate(derivatives, self._reference_coordinates())[..., 0]
+        reference = self._tabulate_reference(element, derivatives)
         n_points, n_nodes = reference.shape[1:]
         table = np.empty((n_points, derivative_rows(derivatives, dim), n_nodes))
         table[:, 0, :] = reference[0]

@@ -37,6 +37,15 @@ def _check(compiled: Form, rank: int) -> None:
         raise ValueError(f"a form of rank {rank} is needed, not {compiled!r}")
 
 
+def _check_size(b: _Array, V: fem.FunctionSpace) -> None:
+    size = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
+    if len(b) != size * V.dofmap.index_map_bs:
+        raise ValueError(
+            f"vector of {len(b)} entries for a space of {size * V.dofmap.index_map_bs} local "
+            "degrees of freedom, ghosts included"
+        )
+
+
 def assemble_scalar(M: Form) -> float:
     """Integrate a form of rank 0.
 
@@ -47,6 +56,7 @@ def assemble_scalar(M: Form) -> float:
         The integral over all ranks (unlike dolfinx', which leaves the sum to the caller).
     """
     _check(M, 0)
+    M.refresh()
     local = fem.assemble_scalar(M.ordinary) if M.ordinary is not None else 0.0
     for integral in M.point_integrals:
         local += sum(float(np.sum(values)) for _, values in integral.element_tensors())
@@ -74,6 +84,8 @@ def assemble_vector(L: Form, b: la.Vector | None = None) -> la.Vector:
 
 def add_to_array(b: _Array, L: Form) -> None:
     """Add a form of rank 1 to the local array of a vector, ghosts included."""
+    _check_size(b, L.function_spaces[0])
+    L.refresh()
     if L.ordinary is not None:
         fem.assemble_vector(b, L.ordinary)
     for integral in L.point_integrals:
@@ -129,7 +141,10 @@ def assemble_matrix(
         The matrix, ghost rows already sent to their owners.
     """
     _check(a, 2)
+    a.refresh()
     A = create_matrix(a) if A is None else A
+    if list(A.block_size) != [1, 1]:
+        raise ValueError(f"matrix of block sizes {A.block_size}: use create_matrix of this form")
     A.set_value(0.0)
     fixed = [_marks(V, bcs) for V in a.function_spaces]
     if a.ordinary is not None:
@@ -188,6 +203,8 @@ def apply_lifting(
     """
     for k, form in enumerate(a):
         _check(form, 2)
+        _check_size(b, form.function_spaces[0])
+        form.refresh()
         V = form.function_spaces[1]
         fixed = _marks(V, bcs[k])
         if not form.mesh.comm.allreduce(bool(fixed.any()), MPI.LOR):
@@ -198,9 +215,8 @@ def apply_lifting(
                 _compat.bc_set(bc, values, None if x0 is None else x0[k], alpha)
         if form.ordinary is not None:
             # dolfinx wants all ghost values of x0; it computes g - x0 itself
-            fem.apply_lifting(
-                b, [form.ordinary], [list(bcs[k])], None if x0 is None else [x0[k]], alpha
-            )
+            own = [bc for bc in bcs[k] if _compat.is_on(bc, V)]
+            fem.apply_lifting(b, [form.ordinary], [own], None if x0 is None else [x0[k]], alpha)
         for integral in form.point_integrals:
             sources = integral.lowered.arguments
             dofs = [integral.dofs(s, W) for s, W in zip(sources, form.function_spaces, strict=True)]
@@ -249,8 +265,7 @@ def _inactive_marks(a: Form, reached: npt.NDArray[np.bool_] | None) -> npt.NDArr
     active.array[:] = 0.0 if reached is None else reached
     for integral in a.point_integrals:
         integral.refresh()
-        dofs = integral.dofs(integral.lowered.arguments[0], V)
-        active.array[dofs[integral.groups]] = 1.0
+        active.array[integral.active(integral.lowered.arguments[0], V)] = 1.0
     active.scatter_reverse(la.InsertMode.add)
     active.scatter_forward()
     return active.array == 0.0
@@ -271,6 +286,7 @@ def _csr_positions(
     groups = integral.groups
     if integral not in cached or not np.array_equal(cached[integral][0], groups):
         positions = np.empty((len(groups), dofs[0].shape[1], dofs[1].shape[1]), dtype=np.int32)
-        loops.csr_positions(A.indptr, A.indices, *dofs, groups, positions)
+        if not loops.csr_positions(A.indptr, A.indices, *dofs, groups, positions):
+            raise ValueError("matrix made for another form: use create_matrix of this one")
         cached[integral] = (groups, positions)
     return cached[integral][1]

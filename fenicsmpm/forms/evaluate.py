@@ -99,7 +99,7 @@ def describe_not_finite(compiled: Form) -> str:
                 f"the integrand is not finite at {len(bad)} points, first at point "
                 f"{points.id[k]} in cell {points.cell[k]} on rank {points.mesh.comm.rank}, "
                 f"position {np.array2string(points.x[k], precision=6)}: a deformation gradient "
-                "with a determinant <= 0 is the usual reason"
+                "with a determinant <= 0 or NaN in a field are the usual reasons"
             )
     messages = [m for m in compiled.mesh.comm.allgather(found) if m is not None]
     return messages[0] if messages else "the integrands over material points are finite"

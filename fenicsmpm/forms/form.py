@@ -13,6 +13,7 @@ from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.integral import PointIntegral, selected_tags
+from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
 
@@ -44,16 +45,22 @@ class Form:
         self.ordinary = ordinary
         self.function_spaces = function_spaces
         self.mesh = mesh
+        self._fractions = [c for c in ufl_form.coefficients() if isinstance(c, FilledFraction)]
 
     @property
     def rank(self) -> int:
         """Number of arguments: 0 scalar, 1 vector, 2 matrix."""
         return len(self.function_spaces)
 
+    def refresh(self) -> None:
+        """Bring coefficients that are derived from points up to date (collective)."""
+        for fraction in self._fractions:
+            fraction.update()
+
     def __repr__(self) -> str:
         """Rank, spaces and where the integrals are taken."""
         parts = [
-            f"{len(i.points)} points" + (f" with tags {i.tags}" if i.tags else "")
+            f"{len(i.points)} points" + ("" if i.tag is None else f" with tag {i.tag}")
             for i in self.point_integrals
         ]
         if self.ordinary is not None:
@@ -90,7 +97,9 @@ def form(
     if F.empty():
         raise ValueError("the form has no integrals")
     arguments = F.arguments()
-    over_points: dict[tuple[int, tuple[int, ...] | None], tuple[MaterialPoints, Any]] = {}
+    if len(arguments) > 2:
+        raise ValueError(f"a form of rank 0, 1 or 2 is needed, not {len(arguments)}")
+    over_points: dict[tuple[int, int | None], tuple[MaterialPoints, Any]] = {}
     ordinary_integrals = []
     for integral in F.integrals():
         points = integral.subdomain_data()
@@ -108,20 +117,20 @@ def form(
             )
         if integral.ufl_domain() is not points.mesh.ufl_domain():
             raise ValueError("the measure of an integral over points belongs to another mesh")
-        key = (id(points), selected_tags(integral))
-        previous = over_points[key][1] if key in over_points else 0
-        over_points[key] = (points, previous + integral.integrand())
+        for tag in selected_tags(integral):
+            previous = over_points.get((id(points), tag), (points, 0))[1]
+            over_points[id(points), tag] = (points, previous + integral.integrand())
 
     mesh = _mesh_of(F, [points for points, _ in over_points.values()], arguments)
     options = jit_options or {}
     point_integrals = []
-    for (_, tags), (points, integrand) in over_points.items():
+    for (_, tag), (points, integrand) in over_points.items():
         expanded = expand_derivatives(integrand * points.dx)
         if expanded.empty():
             continue
         integrand = sum(i.integrand() for i in expanded.integrals())
         _check_arity(integrand, arguments)
-        point_integrals.append(PointIntegral(integrand, points, tags, options))
+        point_integrals.append(PointIntegral(integrand, points, tag, options))
     ordinary = None
     if ordinary_integrals:
         ordinary = _ordinary_form(ordinary_integrals, arguments, form_compiler_options, jit_options)

@@ -36,7 +36,7 @@ class PointIntegral:
     Args:
         integrand: scalar UFL expression of rank 0, 1 or 2.
         points: the point set; its weights are the quadrature weights.
-        tags: restrict the integral to points with one of these tags; None for all.
+        tag: restrict the integral to points with this tag; None for all.
         jit_options: see ``form``.
 
     Raises:
@@ -47,14 +47,14 @@ class PointIntegral:
         self,
         integrand: Any,
         points: MaterialPoints,
-        tags: tuple[int, ...] | None,
+        tag: int | None,
         jit_options: dict[str, Any],
     ) -> None:
         """Lower and compile (collective)."""
         self.points = points
-        self.tags = tags
-        if tags is not None:
-            self._warn_of_unknown_tags()
+        self.tag = tag
+        if tag is not None:
+            self._warn_of_unknown_tag(tag)
         self.stencil = stencil_of(points)
         self.lowered = lower(integrand, points.mesh)
         self.kernel = compile_pointwise(points.mesh.comm, self.lowered, jit_options)
@@ -66,26 +66,27 @@ class PointIntegral:
         }
         self._version: Any = None
         self._tables: dict[int, SlotTable] = {}
+        self._averages: dict[int, SlotTable] = {}
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
 
-    def _warn_of_unknown_tags(self) -> None:
-        comm = self.points.mesh.comm
-        for tag in self.tags or ():
-            if not comm.allreduce(bool(np.any(self.points.tag == tag)), MPI.LOR):
-                logger.warning("no point has the tag %d of an integral: it is zero by now", tag)
+    def _warn_of_unknown_tag(self, tag: int) -> None:
+        here = bool(np.any(self.points.tag == tag))
+        if not self.points.mesh.comm.allreduce(here, MPI.LOR):
+            logger.warning("no point has the tag %d of an integral: it is zero by now", tag)
 
     # --- the selected points -----------------------------------------------------------------
 
     def refresh(self) -> None:
         """Select points and groups anew if the points have moved or changed."""
-        tags = self.points.tag if self.tags is not None else None
+        self._averages = {}  # they depend on the weights, which may change at any time
+        tags = None if self.tag is None else self.points.tag
         key = (self.points.version, None if tags is None else tags.tobytes())
         if key == self._version:
             return
         self._version = key
         self._tables = {}
         order, offsets = self.stencil.order, self.stencil.offsets
-        selected = slice(None) if tags is None else np.isin(tags[order], list(self.tags or ()))
+        selected = slice(None) if tags is None else tags[order] == self.tag
         self.rows = np.arange(len(order))[selected]
         counts = np.searchsorted(self.rows, offsets)
         self.groups = np.flatnonzero(np.diff(counts)).astype(np.int32)
@@ -110,14 +111,25 @@ class PointIntegral:
 
     def table(self, source: Source) -> SlotTable:
         """Slot table of an argument or function, kept until the points move."""
-        key = id(source)
         assert source.layout is not None
-        if key not in self._tables:
-            table = slot_table(source.layout, source.used, self.stencil, self._average)
-            if np.any(source.used >= source.layout.n_slots // 2):
-                return table  # averages depend on the weights, which may change at any time
-            self._tables[key] = table
-        return self._tables[key]
+        has_average = np.any(source.used >= source.layout.n_slots // 2)
+        tables = self._averages if has_average else self._tables
+        if id(source) not in tables:
+            tables[id(source)] = slot_table(source.layout, source.used, self.stencil, self._average)
+        return tables[id(source)]
+
+    def active(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
+        """Local dofs of an argument's space whose functions are not zero at all points."""
+        table = self.table(source)
+        dofs = self.dofs(source, space)
+        seen = np.zeros((len(self.groups), dofs.shape[1]), dtype=np.bool_)
+        loops.mark_seen(
+            self.offsets,
+            self.rows,
+            *(table.basis, table.column, table.length, table.start),
+            seen,
+        )
+        return dofs[self.groups][seen]
 
     def dofs(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
         """``(n_groups, n_local)`` unrolled dofs of a source's space, in the slots' order."""
@@ -154,8 +166,8 @@ class PointIntegral:
         if isinstance(item, PointField):
             if item.points is not self.points:
                 raise ValueError(
-                    f"field {item.name!r} of another point set in an integral over "
-                    f"{self.points!r}: use a field of the same points"
+                    f"field {item.name!r} of another point set in an integral over points: use a "
+                    "field of the same points"
                 )
             values = self._in_group_order(item.values).reshape(len(self.order), source.size // 2)
         elif id(source) in self._cell_values:
@@ -267,9 +279,12 @@ class PointIntegral:
         return result.reshape(len(self.rows), *self.kernel.shape)
 
 
-def selected_tags(integral: ufl.Integral) -> tuple[int, ...] | None:
-    """Tags to which an integral over points is restricted; None for all points."""
+def selected_tags(integral: ufl.Integral) -> tuple[int | None, ...]:
+    """Tags of an integral over points, each of which is an integral of its own; None for all.
+
+    UFL splits ``dx((1, 2))`` by itself up to 2024.2.
+    """
     ids = integral.subdomain_id()
     if isinstance(ids, str):  # "everywhere"
-        return None
+        return (None,)
     return tuple(int(i) for i in (ids if isinstance(ids, tuple) else (ids,)))

@@ -29,13 +29,13 @@ def processor() -> str:
     return hashlib.sha256(flags.encode()).hexdigest()[:12]
 
 
-# Chosen by measurement on tangents of stabilized forms, which are thousands of lines without a
-# loop: reciprocals instead of divisions and free association save a third, and higher levels than
-# -O1 spill registers. NaN and infinity keep their meaning (no -ffinite-math-only).
+# Chosen by measurement on residuals and tangents of stabilized forms, straight code of up to some
+# thousand lines: reciprocals instead of divisions and free association save a third. Vectorization
+# within the code (by -O2 or -ftree-slp-vectorize) makes some kernels 5 times slower. NaN and
+# infinity keep their meaning (no -ffinite-math-only).
 COMPILE_ARGS = [
     "-O1",
     "-march=native",
-    "-ftree-slp-vectorize",
     "-fno-math-errno",
     "-fno-trapping-math",
     "-fno-signed-zeros",

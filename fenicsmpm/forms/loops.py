@@ -141,6 +141,19 @@ def contract_matrix(
 
 
 @numba.njit(cache=True)
+def mark_seen(offsets, rows, basis, column, length, start, seen):
+    """Mark local dofs ``seen (n_groups, n_local)`` whose functions are not zero at all points."""
+    for i in range(len(offsets) - 1):
+        for k in range(offsets[i], offsets[i + 1]):
+            for s in range(len(column)):
+                row = basis[rows[k], column[s] : column[s] + length[s]]
+                largest = np.max(np.abs(row))
+                for a in range(length[s]):
+                    if abs(row[a]) > 1e-12 * largest:
+                        seen[i, start[s] + a] = True
+
+
+@numba.njit(cache=True)
 def add_vectors(vectors, dofs, groups, result):
     """Add element vectors to a local vector."""
     for i in range(len(groups)):
@@ -184,7 +197,11 @@ def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
 
 @numba.njit(cache=True)
 def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
-    """Position of each entry of some groups' element matrices within CSR data."""
+    """Position of each entry of some groups' element matrices within CSR data.
+
+    Returns:
+        Whether the pattern has a place for all of them.
+    """
     for i in range(len(groups)):
         for a in range(dofs0.shape[1]):
             row = dofs0[groups[i], a]
@@ -192,7 +209,10 @@ def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
             for b in range(dofs1.shape[1]):
                 column = dofs1[groups[i], b]
                 k = first + np.searchsorted(indices[first:last], column)
+                if k == last or indices[k] != column:
+                    return False
                 positions[i, a, b] = k
+    return True
 
 
 @numba.njit(cache=True)

@@ -208,13 +208,14 @@ class _Lowering:
         if isinstance(node, Indexed | ComponentTensor | IndexSum):
             return node._ufl_expr_reconstruct_(self._average(operands[0]), operands[1])
         if isinstance(node, Product):
+            # not by the operator *, which would sum over an index that both factors have
             a, b = operands
             if _is_uniform(a):
-                return a * self._average(b)
+                return node._ufl_expr_reconstruct_(self.memo[a], self._average(b))
             if _is_uniform(b):
-                return self._average(a) * b
+                return node._ufl_expr_reconstruct_(self._average(a), self.memo[b])
         if isinstance(node, Division) and _is_uniform(operands[1]):
-            return self._average(operands[0]) / operands[1]
+            return self._average(operands[0]) / self.memo[operands[1]]
         raise UnsupportedFormError(
             f"cell_avg of a nonlinear expression over material points: {node}. Average its "
             "linear parts, or evaluate the expression into a PointField first."

@@ -76,7 +76,12 @@ class LinearSolver:
                 break
             self._options[_WORKSPACE] = workspace
             reason = self._try(A, b, x)
-        if reason < 0 or not np.isfinite(x.norm()):
+        if reason >= 0 and not np.isfinite(x.norm()):
+            raise LinearSolverError(
+                "the solution is not finite: the matrix or the right-hand side has NaN or infinite "
+                "entries, or the matrix is singular"
+            )
+        if reason < 0:
             raise LinearSolverError(
                 f"the linear solver failed ({_reason(reason)}, "
                 f"{self.ksp.getType()} + {self.ksp.getPC().getType()}): the matrix may be "

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -101,6 +103,7 @@ class NewtonSolver:
         self.max_iterations = max_iterations
         self.line_search = line_search
         self.linear = LinearSolver(self.J.mesh.comm, petsc_options)
+        self._parts = _parts(U.function_space)
         self._A = forms.petsc.create_matrix(self.J)
         self._b = forms.petsc.create_vector(self.R)
         self._step = forms.petsc.create_vector(self.R)
@@ -113,7 +116,9 @@ class NewtonSolver:
 
         Raises:
             NewtonError: why it failed; U then has the values that it had before.
+            ValueError: for Dirichlet conditions on another space.
         """
+        self._check_bcs()
         start = self.U.x.array.copy()
         result = NewtonResult()
         try:
@@ -123,7 +128,16 @@ class NewtonSolver:
             raise
         return result
 
+    def _check_bcs(self) -> None:
+        for bc in self.bcs:
+            if not _compat.is_on(bc, self.U.function_space):
+                raise ValueError(
+                    "Dirichlet condition on another function space than the unknown's: give "
+                    "dirichletbc the space of the unknown, or a part of it, W.sub(i)"
+                )
+
     def _iterate(self, result: NewtonResult) -> None:
+        self._stagnates = False
         norm = self._residual_norm()
         result.residuals.append(norm)
         self._require_finite(norm, result, "at the start")
@@ -131,8 +145,9 @@ class NewtonSolver:
         logger.info("Newton       |R|          reduction  step")
         logger.info("  %3d    %.6e", 0, norm)
         while True:
-            gap = self._gap()
-            if norm <= max(self.atol, self.rtol * reference) and gap == 0.0:
+            has_gap = self._has_gap()
+            converged = norm <= max(self.atol, self.rtol * reference) or self._stagnates
+            if converged and not has_gap:
                 return
             if result.iterations == self.max_iterations:
                 raise NewtonError(
@@ -142,7 +157,7 @@ class NewtonSolver:
                     result.residuals,
                 )
             forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
-            if gap > 0.0:
+            if has_gap:
                 # the constrained values are still to be reached: the step moves all of U with them
                 norm = self._residual_norm(lifted=True)
                 reference = max(reference, norm)
@@ -154,9 +169,8 @@ class NewtonSolver:
             result.iterations += 1
             result.residuals.append(norm)
             result.step_lengths.append(length)
-            logger.info(
-                "  %3d    %.6e    %.1e    %g", result.iterations, norm, norm / previous, length
-            )
+            reduction = norm / previous if previous > 0.0 else 1.0
+            logger.info("  %3d    %.6e    %.1e    %g", result.iterations, norm, reduction, length)
 
     def _advance(self, norm: float, result: NewtonResult) -> tuple[float, float]:
         """Take the Newton step, or as much of it as the line search allows."""
@@ -169,7 +183,7 @@ class NewtonSolver:
             self.U.x.array[:] = old - length * step
             new = self._residual_norm()
             decreased = np.isfinite(new) and new <= (1 - 1e-4 * length) * norm
-            if not self.line_search or decreased or new <= self.atol:
+            if not self.line_search or decreased or new <= self.atol or self._is_negligible(step):
                 break
             length /= 2
             if length < 1e-3:
@@ -181,6 +195,11 @@ class NewtonSolver:
                     result.residuals,
                 )
         self._require_finite(new, result, f"in iteration {result.iterations + 1}")
+        if length == 1.0:
+            for bc in self.bcs:  # round-off of the linear solver must not look like new data
+                _compat.bc_set(bc, self.U.x.array, None, 1.0)
+            # a residual of round-off from the start cannot be reduced; then steps are round-off
+            self._stagnates = self._is_negligible(step)
         return new, length
 
     def _residual_norm(self, lifted: bool = False) -> float:
@@ -205,16 +224,24 @@ class NewtonSolver:
             _compat.bc_set(bc, b.array_w, x[:owned], -1.0)
         return norm
 
-    def _gap(self) -> float:
-        """Largest difference of U from its Dirichlet data, over all ranks."""
-        owned = len(self._b.array_r)
-        gap = np.zeros(owned)
+    def _has_gap(self) -> bool:
+        """Whether U differs from its Dirichlet data anywhere (collective)."""
+        x = self.U.x.array
+        target = x.copy()
         for bc in self.bcs:
-            _compat.bc_set(bc, gap, self.U.x.array[:owned], 1.0)
-        scale = max(1.0, float(np.max(np.abs(self.U.x.array), initial=0.0)))
-        local = float(np.max(np.abs(gap), initial=0.0))
-        comm = self.J.mesh.comm
-        return max(comm.allgather(local if local > 1e-14 * scale else 0.0))
+            _compat.bc_set(bc, target, None, 1.0)
+        here = bool(np.any(np.abs(target - x) > 1e-14 * np.abs(target)))
+        return self.J.mesh.comm.allreduce(here, MPI.LOR)
+
+    def _is_negligible(self, step: npt.NDArray[np.float64]) -> bool:
+        """Whether a step changes each part of U by round-off only (collective)."""
+        x, comm = self.U.x.array, self.J.mesh.comm
+        for dofs in self._parts:
+            change = float(np.max(np.abs(step[dofs]), initial=0.0))
+            size = float(np.max(np.abs(x[dofs]), initial=0.0))
+            if comm.allreduce(change, MPI.MAX) > 1e-12 * comm.allreduce(size, MPI.MAX):
+                return False
+        return True
 
     def _require_finite(self, norm: float, result: NewtonResult, when: str) -> None:
         if not np.isfinite(norm):
@@ -224,3 +251,12 @@ class NewtonSolver:
                 f"|R| = {norm} {when}; {where}. Try smaller load steps or line_search",
                 result.residuals,
             )
+
+
+def _parts(V: fem.FunctionSpace) -> list[npt.NDArray[np.int64]]:
+    """Local dofs of the parts of a mixed space, whose values differ in unit; one if not mixed."""
+    if V.dofmap.index_map_bs > 1 or V.num_sub_spaces == 0:
+        index_map = V.dofmap.index_map
+        size = (index_map.size_local + index_map.num_ghosts) * V.dofmap.index_map_bs
+        return [np.arange(size)]
+    return [np.unique(V.sub(i).dofmap.list) for i in range(V.num_sub_spaces)]
