@@ -248,3 +248,23 @@ def test_condition_on_another_space():
     problem.solver.bcs = [fem.dirichletbc(1.0, np.array([0], dtype=np.int32), twin)]
     with pytest.raises(ValueError, match="another function space"):
         problem.solver.solve()
+
+
+@pytest.mark.mpi
+def test_load_steps_of_a_linear_problem():
+    """The continuation of a linear path is exact up to round-off, whatever the modulus."""
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+    body = points.quadrature(domain, 2)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    E, load = 2e11, fem.Constant(domain, 0.0)
+    R = E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * body.dx
+    R -= 1e9 * load * v[1] * body.dx
+    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.0))
+    solver = NewtonSolver(R, u, [fem.dirichletbc(np.zeros(2), dofs, V)])
+
+    def set_load(factor):
+        load.value = factor
+
+    steps = solve_in_load_steps(solver, set_load, first=0.25)
+    assert [step.iterations for step in steps] == [1, 1, 1]  # 0.25, 0.75, 1
