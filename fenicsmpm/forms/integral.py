@@ -67,6 +67,7 @@ class PointIntegral:
         self._version: Any = None
         self._tables: dict[int, SlotTable] = {}
         self._averages: dict[int, SlotTable] = {}
+        self._active: dict[int, npt.NDArray[np.int32]] = {}
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
 
     def _warn_of_unknown_tag(self, tag: int) -> None:
@@ -85,6 +86,7 @@ class PointIntegral:
             return
         self._version = key
         self._tables = {}
+        self._active = {}
         order, offsets = self.stencil.order, self.stencil.offsets
         selected = slice(None) if tags is None else tags[order] == self.tag
         self.rows = np.arange(len(order))[selected]
@@ -120,16 +122,14 @@ class PointIntegral:
 
     def active(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
         """Local dofs of an argument's space whose functions are not zero at all points."""
-        table = self.table(source)
-        dofs = self.dofs(source, space)
-        seen = np.zeros((len(self.groups), dofs.shape[1]), dtype=np.bool_)
-        loops.mark_seen(
-            self.offsets,
-            self.rows,
-            *(table.basis, table.column, table.length, table.start),
-            seen,
-        )
-        return dofs[self.groups][seen]
+        if id(source) not in self._active:
+            table = self.table(source)
+            dofs = self.dofs(source, space)
+            seen = np.zeros((len(self.groups), dofs.shape[1]), dtype=np.bool_)
+            slots = (table.basis, table.column, table.length, table.start)
+            loops.mark_seen(self.offsets, self.rows, *slots, seen)
+            self._active[id(source)] = np.unique(dofs[self.groups][seen])
+        return self._active[id(source)]
 
     def dofs(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
         """``(n_groups, n_local)`` unrolled dofs of a source's space, in the slots' order."""
