@@ -23,8 +23,11 @@ STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
 
 def element_size(points: MaterialPoints) -> Any:
     """Cell size h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
-    mesh = points.mesh
-    return ufl.CellVolume(mesh.ufl_domain()) ** (1 / mesh.geometry.dim)
+    return _cell_volume(points) ** (1 / points.mesh.geometry.dim)
+
+
+def _cell_volume(points: MaterialPoints) -> Any:
+    return ufl.CellVolume(points.mesh.ufl_domain())
 
 
 def tau(points: MaterialPoints, law: NeoHookean, c1: float = 1.0, c2: float = 1.0) -> Any:
@@ -39,7 +42,8 @@ def tau(points: MaterialPoints, law: NeoHookean, c1: float = 1.0, c2: float = 1.
     Returns:
         tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa].
     """
-    return c1 * element_size(points) ** 2 / (2 * law.mu), 2 * c2 * law.mu
+    h_squared = _cell_volume(points) ** (2 / points.mesh.geometry.dim)
+    return c1 * h_squared / (2 * law.mu), 2 * c2 * law.mu
 
 
 def ppp(
