@@ -348,23 +348,16 @@ class MaterialPoints:
             ValueError: As for `remove`.
         """
         mask = self._mask(which)
-        result = self._twin()
+        result = object.__new__(MaterialPoints)
+        result.__dict__.update(self.__dict__)
+        result._coefficients = {}
         result.size_global = self._comm.allreduce(int(mask.sum()))
         result._replace(self._rows(mask))
         return result
 
     def copy(self) -> "MaterialPoints":
-        """An independent copy on the same mesh."""
-        result = self._twin()
-        result._data = {name: a.copy() for name, a in self._data.items()}
-        return result
-
-    def _twin(self) -> "MaterialPoints":
-        """Another object with the same arrays, which the caller replaces."""
-        result = object.__new__(MaterialPoints)
-        result.__dict__.update(self.__dict__)
-        result._coefficients = {}
-        return result
+        """An independent copy on the same mesh. Collective."""
+        return self.select(np.full(len(self), True))
 
     def _mask(self, which: Selection) -> npt.NDArray[np.bool_]:
         error, mask = check_selection(which, self["x"])
