@@ -128,6 +128,8 @@ class PointIntegral:
             seen = np.zeros((len(self.groups), dofs.shape[1]), dtype=np.bool_)
             slots = (table.basis, table.column, table.length, table.start)
             loops.mark_seen(self.offsets, self.rows, *slots, seen)
+            if self.kernel is None:  # a form that is zero is to show as zero
+                seen[:] = True
             self._active[id(source)] = np.unique(dofs[self.groups][seen])
         return self._active[id(source)]
 
