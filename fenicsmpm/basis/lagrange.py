@@ -24,13 +24,13 @@ class LagrangeStencil:
     Tables are kept until the points move, per element and order of derivatives.
 
     Args:
-        points: the point set.
+        points: the point set, or another object with its mesh, cell, xi, order and version.
     """
 
-    def __init__(self, points: MaterialPoints) -> None:
+    def __init__(self, points: Any) -> None:
         """Create an empty cache; nothing is tabulated yet."""
         # A strong reference would keep the points alive as key of the stencil registry.
-        self._points = weakref.ref(points)
+        self._points: weakref.ref[MaterialPoints] = weakref.ref(points)
         self._version = -1
         self._tables: dict[tuple[int, int], npt.NDArray[np.float64]] = {}
         self._jacobians: npt.NDArray[np.float64] | None = None

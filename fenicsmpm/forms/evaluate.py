@@ -61,7 +61,7 @@ class PointExpression:
             assert layout is not None
             columns = integral.lowered.arguments[0].used // layout.n_rows
             values = integral.point_tensors()
-            result[integral.order[:, None], columns] = values
+            result[integral.sites.order[:, None], columns] = values
         return result.reshape(len(points), *self.shape)
 
 
@@ -94,7 +94,7 @@ def describe_not_finite(compiled: Form) -> str:
         tensors = integral.point_tensors()
         bad = np.flatnonzero(~np.isfinite(tensors).all(axis=tuple(range(1, tensors.ndim))))
         if len(bad) > 0 and found is None:
-            points, k = integral.points, integral.order[bad[0]]
+            points, k = integral.points, integral.sites.order[bad[0]]
             found = (
                 f"the integrand is not finite at {len(bad)} points, first at point "
                 f"{points.id[k]} in cell {points.cell[k]} on rank {points.mesh.comm.rank}, "

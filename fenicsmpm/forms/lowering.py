@@ -9,6 +9,7 @@ compiles as a form with one quadrature point on an interval of length one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,6 +45,7 @@ from ufl.classes import (
 from ufl.core.base_form_operator import BaseFormOperator
 from ufl.corealg.traversal import unique_post_traversal
 
+from fenicsmpm.forms.degree import degree_of
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.slots import SIMPLICES, Layout
 from fenicsmpm.points.point_field import PointField
@@ -96,16 +98,14 @@ class PointwiseForm:
             the integrand is zero, such as second gradients of linear functions.
         arguments: test and trial sources, in the order of argument numbers.
         inputs: all other sources; their used slots, one after the other, are the input vector.
+        degree: of the integrand as a polynomial in the position of the point within its group;
+            infinite if it is none, or has inputs other than linear functions and constants.
     """
 
     form: ufl.Form | None
     arguments: list[Source]
     inputs: list[Source]
-
-    @property
-    def n_inputs(self) -> int:
-        """Length of the input vector of the kernel."""
-        return sum(len(source.used) for source in self.inputs)
+    degree: float
 
 
 def lower(integrand: Any, mesh: Any) -> PointwiseForm:
@@ -341,14 +341,33 @@ class _Lowering:
             else:
                 memo[node] = node._ufl_expr_reconstruct_(*[memo[o] for o in node.ufl_operands])
         if isinstance(memo[expression], Zero):
-            return PointwiseForm(None, arguments, inputs)
+            return PointwiseForm(None, arguments, inputs, 0)
         measure = ufl.Measure("dx", domain=_INTERVAL, metadata=_ONE_POINT)
-        return PointwiseForm(memo[expression] * measure, arguments, inputs)
+        leaves = {
+            node: _degree_of_slot(by_placeholder[node.ufl_operands[0]], node)
+            for node in nodes
+            if isinstance(node, Indexed) and node.ufl_operands[0] in by_placeholder
+        }
+        degree = degree_of(expression, leaves)
+        return PointwiseForm(memo[expression] * measure, arguments, inputs, degree)
 
 
 def _require_float64(item: Any, dtype: Any) -> None:
     if dtype != np.float64:
         raise UnsupportedFormError(f"values of type {dtype} over material points: {item}")
+
+
+def _degree_of_slot(source: Source, node: Any) -> float:
+    """Degree of a component of a placeholder in the point's position within its group."""
+    layout = source.layout
+    if layout is None:
+        is_uniform = type(source.item).__name__ in CELL_GEOMETRY
+        return 0 if is_uniform or isinstance(source.item, fem.Constant) else math.inf
+    slot = int(node.ufl_operands[1][0])
+    is_average = slot >= layout.n_slots // 2
+    if not layout.is_linear:
+        return math.inf
+    return 0 if is_average else int(slot % layout.n_rows == 0)
 
 
 def _positions(used: npt.NDArray[np.int64], offset: int) -> dict[int, int]:

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""Many material points of a cell replaced by few sites, where an integrand allows it exactly.
+
+With functions linear in a cell, integrands without data that differ from point to point often are
+polynomials of a low degree q there. For q <= 1 the centroid of the points stands for all of them.
+Beyond, f is the sum of its values at the nodes of the Lagrange functions L_a of that degree, and
+
+    sum_p V_p f(x_p) = sum_a W_a f(x_a)    with    W_a = sum_p V_p L_a(x_p).
+"""
+
+# mypy: disallow_untyped_defs=False
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import basix
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm import _compat
+from fenicsmpm.basis import LagrangeStencil
+from fenicsmpm.forms.sites import Sites
+from fenicsmpm.forms.slots import SIMPLICES
+
+# Highest degree of interest: an input, a test and a trial function, all linear
+MAX_DEGREE = 3
+
+
+def sites_per_cell(mesh: Any, degree: float) -> float:
+    """Number of sites that a cell needs for integrands of a degree; infinite if it cannot be."""
+    if degree > MAX_DEGREE or mesh.basix_cell().name not in SIMPLICES:
+        return math.inf
+    return 1 if degree <= 1 else _lagrange(mesh, int(degree)).dim
+
+
+def _lagrange(mesh: Any, degree: int) -> Any:
+    variant = basix.LagrangeVariant.equispaced
+    return basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), degree, variant)
+
+
+class CondensedPoints:
+    """Sites in cells with weights of their own.
+
+    It has those attributes of ``MaterialPoints`` that a ``LagrangeStencil`` and integrals of
+    grid functions need.
+
+    Args:
+        mesh: dolfinx mesh.
+        cell: ``(n,)`` cells of the sites, in ascending order.
+        xi: ``(n, d)`` reference positions.
+        weight: ``(n,)`` weights in m^d, any sign.
+    """
+
+    version = 0  # for stencils: these sites do not move
+
+    def __init__(
+        self,
+        mesh: Any,
+        cell: npt.NDArray[np.int32],
+        xi: npt.NDArray[np.float64],
+        weight: npt.NDArray[np.float64],
+    ) -> None:
+        """Find the positions."""
+        self.mesh, self.cell, self.xi, self.weight = mesh, cell, xi, weight
+        self.order = np.arange(len(cell))
+        corners = mesh.geometry.x[_compat.geometry_dofmap(mesh)[cell], : xi.shape[1]]
+        edges = corners[:, 1:] - corners[:, :1]
+        self.x = corners[:, 0] + np.einsum("nk,nki->ni", xi, edges)
+
+    def __len__(self) -> int:
+        """Number of sites on this rank."""
+        return len(self.cell)
+
+
+class Condensation:
+    """Makes few sites out of many, for integrands of one degree.
+
+    Args:
+        degree: of the integrands, with a finite ``sites_per_cell``.
+        sites: all selected points, by cell.
+    """
+
+    def __init__(self, degree: float, sites: Sites) -> None:
+        """Tabulate the functions whose sums are the new weights."""
+        self._all = sites
+        self._weights: npt.NDArray[np.float64] | None = None
+        self._element = None
+        xi = sites.points.xi[sites.order]
+        if degree <= 1:
+            self._table = np.column_stack([np.ones(len(xi)), xi])
+        else:
+            self._element = _lagrange(sites.points.mesh, int(degree))
+            self._table = self._element.tabulate(0, xi)[0, ..., 0]
+
+    def sites(self) -> Sites:
+        """The sites that stand for all points with their weights of now."""
+        weights = self._all.weights
+        if self._weights is None or not np.array_equal(weights, self._weights):
+            self._weights = weights.copy()
+            self._few = self._condense(weights)
+        return self._few
+
+    def _condense(self, weights: npt.NDArray[np.float64]) -> Sites:
+        if not weights.min(initial=1.0) > 0.0:  # there need not be a centroid
+            return self._all
+        groups = self._all.groups
+        moments = np.empty((len(groups), self._table.shape[1]))
+        _sum_moments(weights, self._table, self._all.offsets, moments)
+        if self._element is None:
+            per_cell, xi, weight = 1, moments[:, 1:] / moments[:, :1], moments[:, 0].copy()
+        else:
+            per_cell, weight = self._element.dim, moments.ravel()
+            xi = np.tile(self._element.points, (len(groups), 1))
+        few = CondensedPoints(self._all.points.mesh, np.repeat(groups, per_cell), xi, weight)
+        offsets = per_cell * np.arange(len(groups) + 1)
+        return Sites(few, LagrangeStencil(few), few.order, groups, offsets)
+
+
+@numba.njit(cache=True)
+def _sum_moments(weights, table, offsets, result):
+    """W_a = sum_p V_p L_a(x_p) into ``result (n_cells, n_columns)``."""
+    for i in range(len(offsets) - 1):
+        result[i] = 0.0
+        for k in range(offsets[i], offsets[i + 1]):
+            for a in range(table.shape[1]):
+                result[i, a] += weights[k] * table[k, a]

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: MIT
+"""Polynomial degree of a pointwise form in the position of the point within its group."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from ufl.classes import Conditional, Division, ListTensor, Product, Sum
+from ufl.corealg.traversal import unique_post_traversal
+
+
+def degree_of(expression: Any, leaves: Mapping[Any, float]) -> float:
+    """Degree of an expression, given those of its parts.
+
+    Args:
+        expression: UFL expression without free indices.
+        leaves: degrees of the parts that stand for functions; all others are constants.
+
+    Returns:
+        The degree; infinite for what is no polynomial.
+    """
+    degrees: dict[Any, float] = {}
+    for node in unique_post_traversal(expression):
+        operands = [degrees[o] for o in node.ufl_operands]
+        if node in leaves:
+            degrees[node] = leaves[node]
+        elif not any(operands):
+            degrees[node] = 0
+        elif isinstance(node, Sum | ListTensor):
+            degrees[node] = max(operands)
+        elif isinstance(node, Product):
+            degrees[node] = sum(operands)
+        elif isinstance(node, Division) and operands[1] == 0:
+            degrees[node] = operands[0]
+        elif isinstance(node, Conditional) and operands[0] == 0:
+            degrees[node] = max(operands[1:])
+        else:
+            degrees[node] = math.inf
+    return degrees[expression]

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: MIT
+"""Sites: where a pointwise form is evaluated, and what its arguments and inputs are there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from fenicsmpm.forms import linear_loops, loops
+from fenicsmpm.forms.geometry import geometry_values
+from fenicsmpm.forms.lowering import Source
+from fenicsmpm.forms.slots import SlotTable, slot_table
+from fenicsmpm.points.point_field import PointField
+
+# Sites of a batch and thread: its inputs and element tensors should stay in the cache
+_BATCH = 4096
+
+Slices = tuple[slice, slice]
+PlainInputs = list[npt.NDArray[np.float64] | None]
+
+
+class Sites:
+    """Selected points of a point set, group by group.
+
+    Valid as long as the points do not move.
+
+    Args:
+        points: the point set, ``MaterialPoints`` or ``CondensedPoints``.
+        stencil: its stencil.
+        rows: ``(n,)`` selected rows of the stencil's tables.
+        groups: ``(n_groups,)`` groups that have selected points.
+        offsets: ``(n_groups + 1,)`` range of each of these groups within ``rows``.
+
+    Attributes:
+        order: ``(n,)`` storage index of each site.
+    """
+
+    def __init__(
+        self,
+        points: Any,
+        stencil: Any,
+        rows: npt.NDArray[np.int64],
+        groups: npt.NDArray[np.int32],
+        offsets: npt.NDArray[np.int64],
+    ) -> None:
+        """Keep the selection; nothing is tabulated yet."""
+        self.points = points
+        self.stencil = stencil
+        self.rows = rows
+        self.groups = groups
+        self.offsets = offsets
+        self.order = stencil.order[rows]
+        self._is_sorted = np.array_equal(self.order, np.arange(len(points)))
+        self._tables: dict[int, SlotTable] = {}
+        self._averages: dict[int, SlotTable] = {}
+
+    def forget_averages(self) -> None:
+        """To be called before each use: weights may change at any time."""
+        self._averages = {}
+
+    def _in_group_order(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Rows of the sites; no copy where points are stored in group order."""
+        return values if self._is_sorted else values[self.order]
+
+    @property
+    def weights(self) -> npt.NDArray[np.float64]:
+        """``(n,)`` weights in group order."""
+        return self._in_group_order(self.points.weight)
+
+    @property
+    def x(self) -> npt.NDArray[np.float64]:
+        """``(n, d)`` positions in group order, in m."""
+        return self._in_group_order(self.points.x)
+
+    # --- grid functions ----------------------------------------------------------------------
+
+    def table(self, source: Source) -> SlotTable:
+        """Slot table of an argument or function."""
+        assert source.layout is not None
+        has_average = np.any(source.used >= source.layout.n_slots // 2)
+        tables = self._averages if has_average else self._tables
+        if id(source) not in tables:
+            tables[id(source)] = slot_table(source.layout, source.used, self.stencil, self._average)
+        return tables[id(source)]
+
+    def _average(self, table: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Average full table rows over the sites of each group."""
+        result = np.zeros_like(table)
+        result[self.rows] = loops.average_groups(table[self.rows], self.weights, self.offsets)
+        return result
+
+    # --- kernel inputs -----------------------------------------------------------------------
+
+    def batches(self) -> Iterator[Slices]:
+        """Ranges of groups and of sites that are processed together."""
+        size = _BATCH * numba.get_num_threads()
+        first = 0
+        while first < len(self.groups):
+            last = int(np.searchsorted(self.offsets, self.offsets[first] + size, side="right")) - 1
+            last = min(max(last, first + 1), len(self.groups))
+            yield slice(first, last), slice(int(self.offsets[first]), int(self.offsets[last]))
+            first = last
+
+    def plain_inputs(self, sources: list[Source], cell_values: dict[int, Any]) -> PlainInputs:
+        """Values of the inputs that are not grid functions, ``(n or 1, n_used)`` each.
+
+        Args:
+            sources: all inputs of the form.
+            cell_values: ``(n_cells,)`` values of those that are constant in cells, by ``id``.
+        """
+        return [
+            None if source.layout is not None else self._plain_values(source, cell_values)
+            for source in sources
+        ]
+
+    def _plain_values(self, source: Source, cell_values: dict[int, Any]) -> npt.NDArray[np.float64]:
+        item = source.item
+        values: npt.NDArray[np.float64]
+        if isinstance(item, fem.Constant):
+            return item.value.reshape(1, -1)[:, source.used]
+        if isinstance(item, PointField):
+            if item.points is not self.points:
+                raise ValueError(
+                    f"field {item.name!r} of another point set in an integral over points: use a "
+                    "field of the same points"
+                )
+            values = self._in_group_order(item.values).reshape(len(self.order), source.size // 2)
+        elif id(source) in cell_values:
+            values = cell_values[id(source)][self.points.cell[self.order], None]
+        else:
+            values = geometry_values(item, self.stencil, self.points, self.rows, self.order)
+        size = source.size // 2
+        if source.used[-1] >= size:
+            mean = loops.average_groups(values, self.weights, self.offsets)
+            values = np.hstack([values, mean])
+        return values if len(source.used) == values.shape[1] else values[:, source.used]
+
+    def inputs(
+        self, batch: Slices, sources: list[Source], plain: PlainInputs, dofs: Any
+    ) -> npt.NDArray[np.float64]:
+        """Input vectors of the kernel for a batch of groups and sites.
+
+        Args:
+            batch: see ``batches``.
+            sources: all inputs of the form.
+            plain: see ``plain_inputs``.
+            dofs: function of a source and its space, to their ``(n_all_groups, n_local)`` dofs.
+
+        Returns:
+            ``(n_sites, n_inputs)``.
+        """
+        groups, sites = batch
+        n_inputs = sum(len(source.used) for source in sources)
+        result = np.empty((sites.stop - sites.start, max(n_inputs, 1)))
+        first = 0
+        for source, values in zip(sources, plain, strict=True):
+            n = len(source.used)
+            if values is not None:
+                result[:, first : first + n] = values if len(values) == 1 else values[sites]
+            else:
+                space = source.item.function_space
+                self._gather(source, dofs(source, space), groups, result, first)
+            first += n
+        return result
+
+    def _gather(
+        self,
+        source: Source,
+        dofs: npt.NDArray[np.int32],
+        groups: slice,
+        result: npt.NDArray[np.float64],
+        first: int,
+    ) -> None:
+        """Put the used slots of a function at a batch of sites into columns of the inputs."""
+        assert source.layout is not None
+        table = self.table(source)
+        function = source.item.x.array
+        where = (
+            dofs,
+            self.groups[groups],
+            self.offsets[groups.start : groups.stop + 1],
+            self.rows,
+        )
+        slots = (table.basis, table.column, table.length, table.start)
+        values = source.layout.value_slots(source.used)
+        if values is None:
+            loops.gather_function(function, *where, *slots, result, first)
+        else:
+            is_value = np.zeros(len(source.used), dtype=np.bool_)
+            is_value[values] = True
+            linear_loops.gather_function(function, *where, is_value, *slots, result, first)
