@@ -5,9 +5,9 @@ Both assemble the same UFL form, with the deformation gradient stored at each of
 a cell, on the same mesh, into the same kind of matrix, in turns within one run. For dolfinx the
 points are a custom quadrature rule and the deformation gradient is a function on it.
 
-With ``--undeformed`` the form has no stored deformation gradient. With linear functions it is then a
-polynomial in each cell: dolfinx moves nearly everything out of its quadrature loop, and we sum over
-a few sites instead of all points.
+With ``--undeformed`` the form has no stored deformation gradient. With linear functions it is
+then a polynomial in each cell: dolfinx moves nearly everything out of its quadrature loop, and we
+sum over a few sites instead of all points.
 """
 
 import argparse

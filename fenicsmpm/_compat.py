@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, jit
+from dolfinx import cpp, fem, jit
+from ufl.algorithms import expand_derivatives, extract_coefficients
+from ufl.algorithms.analysis import extract_constants
 
 
 def compile_form(comm: Any, form: ufl.Form, jit_options: dict[str, Any]) -> tuple[Any, Any]:
@@ -83,3 +85,61 @@ def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     """Reference points at which a function space wants expressions evaluated."""
     points = V.element.interpolation_points
     return points() if callable(points) else points
+
+
+def facet_entities(mesh: Any, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    """Integration entities (cell, local facet, cell, local facet) of interior facets, flat.
+
+    Args:
+        mesh: dolfinx mesh.
+        facets: ``(n,)`` owned interior facets.
+    """
+    kind = fem.IntegralType.interior_facet
+    topology = mesh.topology
+    topology = getattr(topology, "_cpp_object", topology)
+    compute = cpp.fem.compute_integration_domains
+    try:
+        return compute(kind, topology, facets, mesh.topology.dim - 1).ravel()
+    except TypeError:  # from 0.10 on the dimension follows from the type
+        return compute(kind, topology, facets).ravel()
+
+
+class CompiledForm:
+    """A UFL form compiled for given coefficients, whose entities of integration are open.
+
+    Args:
+        mesh: dolfinx mesh.
+        form: UFL form with integrals over "everywhere".
+        options: ``form_compiler_options`` and ``jit_options`` of ``dolfinx.fem.form``.
+    """
+
+    def __init__(self, mesh: Any, form: ufl.Form, options: dict[str, Any]) -> None:
+        """Compile (collective)."""
+        self._mesh = mesh
+        options = {"form_compiler_options": {}, "jit_options": {}} | {
+            name: value for name, value in options.items() if value is not None
+        }
+        compiler_options = {"scalar_type": np.float64} | options.pop("form_compiler_options")
+        # 0.9 confuses coefficients if derivatives make some of them disappear
+        form = expand_derivatives(form)
+        self._compiled = fem.compile_form(
+            mesh.comm, form, form_compiler_options=compiler_options, **options
+        )
+        self._spaces = [a.ufl_function_space() for a in form.arguments()]
+        original = self._compiled.ufl_form
+        self._coefficients = {c: c for c in extract_coefficients(original)}
+        self._constants = {c: c for c in extract_constants(original)}
+
+    def over(self, entities: dict[str, npt.NDArray[np.int32]]) -> fem.Form:
+        """The form with integrals over given integration entities, by integral type."""
+        subdomains = {
+            getattr(fem.IntegralType, name): [(-1, array)] for name, array in entities.items()
+        }
+        return fem.create_form(
+            self._compiled,
+            self._spaces,
+            self._mesh,
+            subdomains,
+            self._coefficients,
+            self._constants,
+        )

@@ -8,7 +8,8 @@ they are until the caller scatters them, except where said.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 from mpi4py import MPI
 
@@ -57,7 +58,7 @@ def assemble_scalar(M: Form) -> float:
     """
     _check(M, 0)
     M.refresh()
-    local = fem.assemble_scalar(M.ordinary) if M.ordinary is not None else 0.0
+    local = sum(fem.assemble_scalar(form) for form in M.mesh_forms())
     for integral in M.point_integrals:
         local += sum(float(np.sum(values)) for _, values in integral.element_tensors())
     return M.mesh.comm.allreduce(local, MPI.SUM)
@@ -86,21 +87,22 @@ def add_to_array(b: _Array, L: Form) -> None:
     """Add a form of rank 1 to the local array of a vector, ghosts included."""
     _check_size(b, L.function_spaces[0])
     L.refresh()
-    if L.ordinary is not None:
-        fem.assemble_vector(b, L.ordinary)
+    for form in L.mesh_forms():
+        fem.assemble_vector(b, form)
     for integral in L.point_integrals:
         dofs = integral.dofs(integral.lowered.arguments[0], L.function_spaces[0])
         for groups, vectors in integral.element_tensors():
             loops.add_vectors(vectors, dofs, integral.groups[groups], b)
 
 
-def create_matrix(a: Form) -> la.MatrixCSR:
+def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
     """Create a matrix for a form of rank 2, block size one.
-
-    The pattern has room for points in any cell, so the points may move.
 
     Args:
         a: the compiled form.
+        compact: room for the points in the cells where they are now only. Direct solvers then
+            see nothing of the empty part of the background mesh. Otherwise, there is room for
+            points in any cell, so that they may move.
     """
     _check(a, 2)
     maps = [V.dofmap.index_map for V in a.function_spaces]
@@ -109,14 +111,32 @@ def create_matrix(a: Form) -> la.MatrixCSR:
         pattern = fem.create_sparsity_pattern(a.ordinary)
     else:
         pattern = cpp.la.SparsityPattern(a.mesh.comm, maps, sizes)
-    for stencil in {type(i.stencil): i.stencil for i in a.point_integrals}.values():
+    for groups, stencil in _groups_with_room(a, compact):
         rows, columns = (stencil.dofs(V) for V in a.function_spaces)
-        for group in range(stencil.n_owned_groups):
+        for group in groups:
             pattern.insert(rows[group], columns[group])
+    for form in a.region_forms:
+        for kind in form.types:
+            cells = form.region.blocks(kind)
+            spaces = a.function_spaces
+            rows, columns = (V.dofmap.list[cells].reshape(len(cells), -1) for V in spaces)
+            for row, column in zip(rows, columns, strict=True):
+                pattern.insert(row, column)
     if _is_square(a):
         pattern.insert_diagonal(np.arange(maps[0].size_local, dtype=np.int32))
     pattern.finalize()
     return la.matrix_csr(pattern, cpp.la.BlockMode.expanded)
+
+
+def _groups_with_room(a: Form, compact: bool) -> Iterator[tuple[Any, Any]]:
+    """Groups of points that a matrix has room for, with a stencil that knows their dofs."""
+    if not compact:
+        for stencil in {type(i.stencil): i.stencil for i in a.point_integrals}.values():
+            yield range(stencil.n_owned_groups), stencil
+        return
+    for integral in a.point_integrals:
+        integral.refresh()
+        yield integral.groups, integral.stencil
 
 
 def assemble_matrix(
@@ -147,9 +167,10 @@ def assemble_matrix(
         raise ValueError(f"matrix of block sizes {A.block_size}: use create_matrix of this form")
     A.set_value(0.0)
     fixed = [_marks(V, bcs) for V in a.function_spaces]
-    if a.ordinary is not None:
-        _add_ordinary(A, a, list(bcs))
-    reached = _reached_by_values(A) if a.ordinary is not None else None
+    mesh_forms = a.mesh_forms()
+    for form in mesh_forms:
+        _add_ordinary(A, form, list(bcs))
+    reached = _reached_by_values(A) if mesh_forms else None
     for integral in a.point_integrals:
         sources = integral.lowered.arguments
         dofs = [integral.dofs(s, V) for s, V in zip(sources, a.function_spaces, strict=True)]
@@ -176,9 +197,11 @@ def inactive_dofs(a: Form) -> npt.NDArray[np.int32]:
         Owned local indices, unrolled.
     """
     reached = None
-    if a.ordinary is not None and a.rank == 2:
+    mesh_forms = a.mesh_forms()
+    if mesh_forms and a.rank == 2:
         A = create_matrix(a)
-        _add_ordinary(A, a, [])
+        for form in mesh_forms:
+            _add_ordinary(A, form, [])
         reached = _reached_by_values(A)
     V = a.function_spaces[0]
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -213,10 +236,10 @@ def apply_lifting(
         for bc in bcs[k]:
             if _compat.is_on(bc, V):
                 _compat.bc_set(bc, values, None if x0 is None else x0[k], alpha)
-        if form.ordinary is not None:
+        for ordinary in form.mesh_forms():
             # dolfinx wants all ghost values of x0; it computes g - x0 itself
             own = [bc for bc in bcs[k] if _compat.is_on(bc, V)]
-            fem.apply_lifting(b, [form.ordinary], [own], None if x0 is None else [x0[k]], alpha)
+            fem.apply_lifting(b, [ordinary], [own], None if x0 is None else [x0[k]], alpha)
         for integral in form.point_integrals:
             sources = integral.lowered.arguments
             dofs = [integral.dofs(s, W) for s, W in zip(sources, form.function_spaces, strict=True)]
@@ -224,14 +247,14 @@ def apply_lifting(
                 loops.lift(matrices, *dofs, integral.groups[groups], fixed, values, b)
 
 
-def _add_ordinary(A: la.MatrixCSR, a: Form, bcs: list[fem.DirichletBC]) -> None:
-    """Add the integrals over cells and facets, without constrained rows and columns."""
+def _add_ordinary(A: la.MatrixCSR, a: fem.Form, bcs: list[fem.DirichletBC]) -> None:
+    """Add integrals over cells and facets, without constrained rows and columns."""
     bs = [V.dofmap.index_map_bs for V in a.function_spaces]
     if bs[0] == bs[1] <= 3:
-        fem.assemble_matrix(A, a.ordinary, bcs, 0.0)  # no diagonal
+        fem.assemble_matrix(A, a, bcs, 0.0)  # no diagonal
         return
     # dolfinx fills its own matrices with these block sizes only, so others go through PETSc
-    matrix = petsc.assemble_matrix(a.ordinary, bcs, 0.0)
+    matrix = petsc.assemble_matrix(a, bcs, 0.0)
     matrix.assemble()
     indptr, columns, values = matrix.getValuesCSR()
     local = A.index_map(1).global_to_local(columns.astype(np.int64))

@@ -13,6 +13,7 @@ from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.integral import PointIntegral, selected_tags
+from fenicsmpm.forms.regions import RegionForm, is_region
 from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
@@ -26,7 +27,8 @@ class Form:
     Attributes:
         ufl_form: the UFL form.
         point_integrals: one for each point set and selection of tags.
-        ordinary: compiled dolfinx form of the integrals over cells and facets, or None.
+        ordinary: compiled dolfinx form of the integrals over fixed cells and facets, or None.
+        region_forms: forms over cells and facets that follow points.
         function_spaces: dolfinx spaces of the arguments, test space first.
         mesh: the dolfinx mesh.
     """
@@ -36,6 +38,7 @@ class Form:
         ufl_form: ufl.Form,
         point_integrals: list[PointIntegral],
         ordinary: fem.Form | None,
+        region_forms: list[RegionForm],
         function_spaces: list[fem.FunctionSpace],
         mesh: Any,
     ) -> None:
@@ -43,6 +46,7 @@ class Form:
         self.ufl_form = ufl_form
         self.point_integrals = point_integrals
         self.ordinary = ordinary
+        self.region_forms = region_forms
         self.function_spaces = function_spaces
         self.mesh = mesh
         self._fractions = [c for c in ufl_form.coefficients() if isinstance(c, FilledFraction)]
@@ -51,6 +55,17 @@ class Form:
     def rank(self) -> int:
         """Number of arguments: 0 scalar, 1 vector, 2 matrix."""
         return len(self.function_spaces)
+
+    @property
+    def versions(self) -> tuple[Any, ...]:
+        """Changes whenever points have moved."""
+        regions = tuple(form.region.version for form in self.region_forms)
+        return (*(integral.points.version for integral in self.point_integrals), *regions)
+
+    def mesh_forms(self) -> list[fem.Form]:
+        """Dolfinx forms of all integrals over cells and facets, as they are now (collective)."""
+        fixed = [] if self.ordinary is None else [self.ordinary]
+        return fixed + [form.current() for form in self.region_forms]
 
     def refresh(self) -> None:
         """Bring coefficients that are derived from points up to date (collective)."""
@@ -65,6 +80,8 @@ class Form:
         ]
         if self.ordinary is not None:
             parts.append("cells or facets of the mesh")
+        if self.region_forms:
+            parts.append("cells or facets that follow points")
         kind = ("scalar", "vector", "matrix")[self.rank]
         return f"Form({kind}, integrals over {', '.join(parts) or 'nothing'})"
 
@@ -101,8 +118,12 @@ def form(
         raise ValueError(f"a form of rank 0, 1 or 2 is needed, not {len(arguments)}")
     over_points: dict[tuple[int, int | None], tuple[MaterialPoints, Any]] = {}
     ordinary_integrals = []
+    by_region: dict[int, list[ufl.Integral]] = {}
     for integral in F.integrals():
         points = integral.subdomain_data()
+        if is_region(points):
+            by_region.setdefault(id(points), []).append(integral)
+            continue
         if not isinstance(points, MaterialPoints):
             ordinary_integrals.append(integral)
             continue
@@ -131,14 +152,21 @@ def form(
         integrand = sum(i.integrand() for i in expanded.integrals())
         _check_arity(integrand, arguments)
         point_integrals.append(PointIntegral(integrand, points, tag, options))
+    mesh_options = {"form_compiler_options": form_compiler_options, "jit_options": jit_options}
     ordinary = None
-    if ordinary_integrals:
-        ordinary = _ordinary_form(ordinary_integrals, arguments, form_compiler_options, jit_options)
-    if not point_integrals and ordinary is None and not arguments:
+    if _has_integrals(ordinary_integrals, arguments):
+        ordinary = fem.form(ufl.Form(ordinary_integrals), **mesh_options)
+    region_forms = [
+        RegionForm(integrals, mesh_options)
+        for integrals in by_region.values()
+        if _has_integrals(integrals, arguments)
+    ]
+    if not (point_integrals or region_forms or arguments) and ordinary is None:
         raise ValueError("the form is identically zero")
     if mesh is None and ordinary is not None:  # integrals of constants over cells or facets
         mesh = ordinary.mesh
-    return Form(F, point_integrals, ordinary, [_space(a) for a in arguments], mesh)
+    spaces = [_space(a) for a in arguments]
+    return Form(F, point_integrals, ordinary, region_forms, spaces, mesh)
 
 
 def _space(argument: ufl.Argument) -> fem.FunctionSpace:
@@ -186,12 +214,10 @@ def _mesh_of(F: ufl.Form, point_sets: list[MaterialPoints], arguments: Any) -> A
     return meshes[0] if meshes else None
 
 
-def _ordinary_form(
-    integrals: list[ufl.Integral],
-    arguments: Any,
-    form_compiler_options: dict[str, Any] | None,
-    jit_options: dict[str, Any] | None,
-) -> fem.Form | None:
+def _has_integrals(integrals: list[ufl.Integral], arguments: Any) -> bool:
+    """Whether anything is left of integrals over cells and facets, after a check of them."""
+    if not integrals:
+        return False
     ordinary = ufl.Form(integrals)
     if ordinary.arguments() != arguments:
         raise UnsupportedFormError(
@@ -205,6 +231,4 @@ def _ordinary_form(
                 f"point field {coefficient.name!r} in an integral over cells or facets: it has "
                 "values at its points only. Integrate over points.dx, or project it first."
             )
-    if expand_derivatives(ordinary).empty():
-        return None
-    return fem.form(ordinary, form_compiler_options=form_compiler_options, jit_options=jit_options)
+    return not expand_derivatives(ordinary).empty()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 
 from petsc4py import PETSc
@@ -15,8 +14,8 @@ from fenicsmpm import _compat
 from fenicsmpm.forms import assembly
 from fenicsmpm.forms.form import Form
 
-# MatrixCSR in which each PETSc matrix is assembled before its rows are handed over
-_work: weakref.WeakKeyDictionary[Form, la.MatrixCSR] = weakref.WeakKeyDictionary()
+# Attribute of a PETSc matrix: the MatrixCSR in which it is assembled, before rows are handed over
+_WORK = "fenicsmpm_work"
 
 
 def create_vector(L: Form) -> PETSc.Vec:
@@ -46,9 +45,14 @@ def assemble_vector(L: Form, b: PETSc.Vec | None = None) -> PETSc.Vec:
     return b
 
 
-def create_matrix(a: Form) -> PETSc.Mat:
-    """Create a matrix for a form of rank 2, with room for points in any cell."""
-    A = _work_matrix(a)
+def create_matrix(a: Form, compact: bool = False) -> PETSc.Mat:
+    """Create a matrix for a form of rank 2.
+
+    Args:
+        a: compiled form.
+        compact: see ``fenicsmpm.forms.create_matrix``.
+    """
+    A = assembly.create_matrix(a, compact)
     maps = [V.dofmap.index_map for V in a.function_spaces]
     bs = [V.dofmap.index_map_bs for V in a.function_spaces]
     sizes = [(m.size_local * b, m.size_global * b) for m, b in zip(maps, bs, strict=True)]
@@ -57,6 +61,7 @@ def create_matrix(a: Form) -> PETSc.Mat:
     indptr = A.indptr[: owned + 1].astype(PETSc.IntType)
     matrix = PETSc.Mat().createAIJ(sizes, comm=a.mesh.comm, csr=(indptr, columns))
     matrix.assemble()
+    matrix.setAttr(_WORK, A)
     return matrix
 
 
@@ -78,7 +83,7 @@ def assemble_matrix(
         The assembled matrix.
     """
     A = create_matrix(a) if A is None else A
-    work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a))
+    work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a, A))
     owned = work.index_map(0).size_local
     indptr = work.indptr[: owned + 1].astype(PETSc.IntType)
     A.setValuesCSR(indptr, _global_columns(work), work.data[: indptr[-1]])
@@ -130,10 +135,12 @@ def set_bc(
         _compat.bc_set(bc, b.array_w, None if x0 is None else x0.array_r, alpha)
 
 
-def _work_matrix(a: Form) -> la.MatrixCSR:
-    if a not in _work:
-        _work[a] = assembly.create_matrix(a)
-    return _work[a]
+def _work_matrix(a: Form, A: PETSc.Mat) -> la.MatrixCSR:
+    work = A.getAttr(_WORK)
+    if work is None:
+        work = assembly.create_matrix(a)
+        A.setAttr(_WORK, work)
+    return work
 
 
 def _global_columns(A: la.MatrixCSR) -> np.ndarray:

@@ -1,48 +1,69 @@
 # SPDX-License-Identifier: MIT
-"""Lumped volume of the material at the grid nodes, as a coefficient of UFL forms."""
+"""Lumped volume or mass of the material at the grid nodes, as a coefficient of UFL forms."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
+from fenicsmpm.mapping.active_cells import ActiveCells
 from fenicsmpm.mapping.transfer import p2g
 from fenicsmpm.points import MaterialPoints
 
+_VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+
 
 class FilledFraction(fem.Function):
-    """Share of the volume around each node that is filled with material, P1.
+    """Points' volume at each node per volume of the active cells around it, P1.
 
     With the vertex rule, ``fraction * a * b * fraction.vertex_dx`` is the lumped mass
     ``sum_I m_I a_I b_I`` with the points' own nodal volumes ``m_I = sum_p N_I(x_p) V_p``.
 
     Args:
-        points: the point set; call ``update`` when the points have moved.
+        points: the point set.
+        field: "weight" for volumes; a field of masses makes the fraction a density [kg/m^d].
 
     Attributes:
         points: the point set.
-        vertex_dx: cell measure with the vertices as integration points.
+        vertex_dx: measure of the active cells with the vertices as integration points.
     """
 
-    def __init__(self, points: MaterialPoints) -> None:
-        """Compute the fraction of the points as they are."""
-        mesh = points.mesh
-        space = fem.functionspace(mesh, ("Lagrange", 1))
+    def __init__(self, points: MaterialPoints, field: str = "weight") -> None:
+        """Compute the fraction of the points as they are (collective)."""
+        space = fem.functionspace(points.mesh, ("Lagrange", 1))
         super().__init__(space, name="filled_fraction")
         self.points = points
-        self.vertex_dx = ufl.Measure(
-            "dx",
-            domain=mesh.ufl_domain(),
-            metadata={"quadrature_rule": "vertex", "quadrature_degree": 1},
-        )
-        one = ufl.TestFunction(space)
-        full = fem.assemble_vector(fem.form(one * self.vertex_dx))
-        full.scatter_reverse(la.InsertMode.add)
-        full.scatter_forward()
-        self._full = full.array
+        self._field = field
+        self._cells = ActiveCells(points)
+        self._share = _vertex_shares(points.mesh)
+        self._full: npt.NDArray[np.float64] = np.empty(0)
+        self._version: Any = None
+        self.vertex_dx = self._cells.dx(metadata=_VERTEX_RULE)
         self.update()
 
     def update(self) -> None:
         """Compute the fraction anew from the points (collective)."""
-        filled = p2g(self.points, self.points.weight, self.function_space)
-        self.x.array[:] = filled.array / self._full
+        space = self.function_space
+        if self._version != self._cells.version:
+            self._version = self._cells.version
+            full = fem.Function(space)
+            cells = self._cells.cells
+            np.add.at(full.x.array, space.dofmap.list[cells], self._share[cells])
+            full.x.scatter_reverse(la.InsertMode.add)
+            full.x.scatter_forward()
+            self._full = full.x.array
+        filled = p2g(self.points, self.points[self._field], space).array
+        where = self._full > 0
+        self.x.array[:] = np.divide(filled, self._full, out=np.zeros_like(filled), where=where)
+
+
+def _vertex_shares(mesh: Any) -> npt.NDArray[np.float64]:
+    """``(n_cells, n_vertices)`` what the vertex rule gives to each vertex of a cell [m^d]."""
+    space = fem.functionspace(mesh, ("Discontinuous Lagrange", 1))
+    dx = ufl.Measure("dx", domain=mesh.ufl_domain(), metadata=_VERTEX_RULE)
+    shares = fem.assemble_vector(fem.form(ufl.TestFunction(space) * dx))
+    return shares.array[space.dofmap.list]

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Transfer between points and grid (P2G) on any stencil."""
+"""Transfer from points to the grid (P2G) on any stencil."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import numba
 import numpy as np
@@ -19,22 +22,56 @@ def p2g(
 
     Args:
         points: the point set.
-        values: ``(n_points,)`` in storage order, such as the weights.
-        space: scalar Lagrange space on the points' mesh.
+        values: ``(n_points,)`` or ``(n_points, block size)`` in storage order, such as the weights.
+        space: Lagrange space on the points' mesh, scalar or blocked.
 
     Returns:
         Vector of the space, summed over all ranks, ghosts up to date (collective).
     """
     stencil = stencil_of(points)
-    result = la.vector(space.dofmap.index_map)
+    bs = space.dofmap.index_map_bs
+    result = la.vector(space.dofmap.index_map, bs)
     result.array[:] = 0.0
-    table = stencil.table(space.ufl_element().basix_element, 0)
-    _scatter(
-        values[stencil.order], table[:, 0, :], stencil.offsets, stencil.dofs(space), result.array
-    )
+    table = stencil.table(_scalar_element(space), 0)
+    rows = values.reshape(len(points), bs)[stencil.order]
+    nodes = result.array.reshape(-1, bs)
+    _scatter(rows, table[:, 0, :], stencil.offsets, stencil.dofs(space), nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
     return result
+
+
+def project(
+    point_sets: Sequence[MaterialPoints],
+    name: str,
+    function: fem.Function,
+    mass: str = "mass",
+) -> None:
+    """Mass-weighted lumped projection of a field to the grid (VMS, algorithm 1, line 7).
+
+    ``f_I = sum_p N_I(x_p) m_p f_p / m_I`` with ``m_I = sum_p N_I(x_p) m_p``; zero at nodes
+    without mass. Collective.
+
+    Args:
+        point_sets: bodies that have the field.
+        name: of the field.
+        function: of a Lagrange space, scalar or blocked like the field's values.
+        mass: name of the field of masses, or "weight" for volumes.
+    """
+    space = function.function_space
+    total = fem.Function(space).x.array
+    nodal = np.zeros_like(total)
+    for points in point_sets:
+        weights = points[mass].reshape(len(points), 1)
+        values = points[name].reshape(len(points), -1)
+        total += p2g(points, weights * values, space).array
+        nodal += p2g(points, np.broadcast_to(weights, values.shape), space).array
+    function.x.array[:] = np.divide(total, nodal, out=np.zeros_like(total), where=nodal > 0)
+
+
+def _scalar_element(space: fem.FunctionSpace) -> Any:
+    element = space.ufl_element()
+    return (element.sub_elements[0] if element.block_size > 1 else element).basix_element
 
 
 @numba.njit(cache=True)
@@ -42,4 +79,5 @@ def _scatter(values, table, offsets, dofs, result):  # type: ignore[no-untyped-d
     for group in range(len(offsets) - 1):
         for k in range(offsets[group], offsets[group + 1]):
             for a in range(dofs.shape[1]):
-                result[dofs[group, a]] += values[k] * table[k, a]
+                for c in range(values.shape[1]):
+                    result[dofs[group, a], c] += values[k, c] * table[k, a]

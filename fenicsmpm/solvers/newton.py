@@ -104,7 +104,8 @@ class NewtonSolver:
         self.line_search = line_search
         self.linear = LinearSolver(self.J.mesh.comm, petsc_options)
         self._parts = _parts(U.function_space)
-        self._A = forms.petsc.create_matrix(self.J)
+        self._A: PETSc.Mat | None = None
+        self._versions: Any = None
         self._b = forms.petsc.create_vector(self.R)
         self._step = forms.petsc.create_vector(self.R)
 
@@ -119,6 +120,7 @@ class NewtonSolver:
             ValueError: for Dirichlet conditions on another space.
         """
         self._check_bcs()
+        self._prepare_matrix()
         start = self.U.x.array.copy()
         result = NewtonResult()
         try:
@@ -127,6 +129,15 @@ class NewtonSolver:
             self.U.x.array[:] = start
             raise
         return result
+
+    def _prepare_matrix(self) -> None:
+        """A matrix with room for the points where they are now; cells without any cost nothing."""
+        versions = self.J.versions
+        if versions != self._versions:
+            self._versions = versions
+            if self._A is not None:
+                self._A.destroy()
+            self._A = forms.petsc.create_matrix(self.J, compact=True)
 
     def _check_bcs(self) -> None:
         for bc in self.bcs:

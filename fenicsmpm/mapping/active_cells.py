@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""Cells that hold points, and the facets at which cut cells need support from their neighbours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import la
+
+from fenicsmpm import _compat
+from fenicsmpm.points import MaterialPoints
+
+
+class ActiveCells:
+    """The part of the background mesh that holds points, followed as they move.
+
+    A cell is active if it holds a point of one of the sets. An active cell is cut if one of its
+    facets leads to a cell that is not. Its measures are for UFL forms; forms that use them are
+    assembled over the cells and facets of the moment.
+
+    Args:
+        points: point sets on one mesh: the body, and boundary points that carry loads.
+
+    Attributes:
+        mesh: the background mesh.
+        dx: measure of integrals over the active cells.
+        dS: measure of integrals over the facets between two active cells of which one is cut.
+    """
+
+    def __init__(self, *points: MaterialPoints) -> None:
+        """Prepare the topology; cells are found when they are asked for."""
+        if not points or any(p.mesh is not points[0].mesh for p in points):
+            raise ValueError("active cells need one or more point sets on the same mesh")
+        self.points = points
+        self.mesh = points[0].mesh
+        topology = self.mesh.topology
+        dim = topology.dim
+        topology.create_connectivity(dim - 1, dim)
+        topology.create_connectivity(dim, dim - 1)
+        self._facet_cells = _two_cells(topology)
+        domain = self.mesh.ufl_domain()
+        self.dx = ufl.Measure("dx", domain=domain, subdomain_data=self)
+        self.dS = ufl.Measure("dS", domain=domain, subdomain_data=self)
+        self._version: Any = None
+
+    @property
+    def version(self) -> Any:
+        """Changes whenever points have moved."""
+        return tuple(p.version for p in self.points)
+
+    @property
+    def cells(self) -> npt.NDArray[np.int32]:
+        """Owned active cells, ascending (collective)."""
+        self._update()
+        return self._cells
+
+    @property
+    def cut_cells(self) -> npt.NDArray[np.int32]:
+        """Owned cut cells, ascending (collective)."""
+        self._update()
+        return self._cut_cells
+
+    @property
+    def facets(self) -> npt.NDArray[np.int32]:
+        """Owned facets between two active cells, at least one of them cut (collective)."""
+        self._update()
+        return self._facets
+
+    def entities(self, integral_type: str) -> npt.NDArray[np.int32]:
+        """Where integrals of a type are to be taken, as dolfinx wants it (collective).
+
+        Args:
+            integral_type: "cell" or "interior_facet".
+        """
+        if integral_type == "cell":
+            return self.cells
+        if integral_type == "interior_facet":
+            return _compat.facet_entities(self.mesh, self.facets)
+        raise ValueError(f"no integrals of type {integral_type!r} over active cells: use dx or dS")
+
+    def blocks(self, integral_type: str) -> npt.NDArray[np.int32]:
+        """``(n, 1 or 2)`` cells whose functions meet in an entity of an integral."""
+        if integral_type == "cell":
+            return self.cells[:, None]
+        return self._facet_cells[self.facets]
+
+    def _update(self) -> None:
+        if self._version == self.version:
+            return
+        self._version = self.version
+        topology = self.mesh.topology
+        cell_map = topology.index_map(topology.dim)
+        owned = cell_map.size_local
+        active = la.vector(cell_map)
+        active.array[:] = 0.0
+        for points in self.points:
+            active.array[points.cell] = 1.0
+        active.scatter_forward()
+        # facets of the mesh's own boundary have one cell, repeated: nothing is missing there
+        first, second = active.array[self._facet_cells].T > 0
+        between = self._facet_cells[first != second]
+        cut = la.vector(cell_map)
+        cut.array[:] = 0.0
+        cut.array[between.ravel()] = 1.0
+        # a rank sees all facets of its own cells, so owned values are complete
+        cut.scatter_forward()
+        is_cut = (cut.array > 0) & (active.array > 0)
+        touched = is_cut[self._facet_cells].any(axis=1)
+        inner = self._facet_cells[:, 0] != self._facet_cells[:, 1]
+        selected = np.flatnonzero(first & second & touched & inner)
+        n_owned = topology.index_map(topology.dim - 1).size_local
+        self._facets = selected[selected < n_owned].astype(np.int32)
+        self._cells = np.flatnonzero(active.array[:owned]).astype(np.int32)
+        self._cut_cells = np.flatnonzero(is_cut[:owned]).astype(np.int32)
+
+
+def _two_cells(topology: Any) -> npt.NDArray[np.int32]:
+    """``(n_facets, 2)`` cells of each local facet; the same twice at the boundary."""
+    dim = topology.dim
+    links = topology.connectivity(dim - 1, dim)
+    first = links.array[links.offsets[:-1]]
+    last = links.array[links.offsets[1:] - 1]
+    return np.column_stack([first, last]).astype(np.int32)
