@@ -8,11 +8,13 @@ from mpi4py import MPI
 import numba
 
 from fenicsmpm import forms, formulations, io, mapping, materials, points, solvers
+from fenicsmpm.implicit import ImplicitMPM
 from fenicsmpm.points import MaterialPoints
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "ImplicitMPM",
     "MaterialPoints",
     "forms",
     "formulations",

@@ -109,7 +109,7 @@ class CompiledForm:
 
     Args:
         mesh: dolfinx mesh.
-        form: UFL form with integrals over "everywhere".
+        form: UFL form with integrals over subdomain 1.
         options: ``form_compiler_options`` and ``jit_options`` of ``dolfinx.fem.form``.
     """
 
@@ -133,7 +133,7 @@ class CompiledForm:
     def over(self, entities: dict[str, npt.NDArray[np.int32]]) -> fem.Form:
         """The form with integrals over given integration entities, by integral type."""
         subdomains = {
-            getattr(fem.IntegralType, name): [(-1, array)] for name, array in entities.items()
+            getattr(fem.IntegralType, name): [(1, array)] for name, array in entities.items()
         }
         return fem.create_form(
             self._compiled,

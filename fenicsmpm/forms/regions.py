@@ -47,7 +47,8 @@ class RegionForm:
         self.region: Region = integrals[0].subdomain_data()
         if any(i.subdomain_id() != "everywhere" for i in integrals):
             raise ValueError("integrals over active cells or facets cannot be restricted further")
-        form = ufl.Form([i.reconstruct(subdomain_data=None) for i in integrals])
+        # over "everywhere" dolfinx would take all entities of the mesh
+        form = ufl.Form([i.reconstruct(subdomain_data=None, subdomain_id=1) for i in integrals])
         self.types = {i.integral_type() for i in integrals}
         self._compiled = _compat.CompiledForm(self.region.mesh, form, options)
         self._version: Any = None

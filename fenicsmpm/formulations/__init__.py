@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Formulations: functions that return UFL forms to be printed, changed and recombined."""
 
+from fenicsmpm.formulations.bdf2 import BDF2
+from fenicsmpm.formulations.ghost_penalty import ghost_penalty
+from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.mixed import mixed, mixed_space, parts, volumetric_residual
+from fenicsmpm.formulations.newmark import Bossak, GeneralizedAlpha, Newmark
 from fenicsmpm.formulations.stabilization import (
     STABILIZATIONS,
     asgs,
@@ -13,19 +17,28 @@ from fenicsmpm.formulations.stabilization import (
     stabilized,
     tau,
 )
+from fenicsmpm.formulations.time_scheme import TimeScheme, density
 
 __all__ = [
+    "BDF2",
     "STABILIZATIONS",
+    "Bossak",
+    "GeneralizedAlpha",
     "Kinematics",
+    "Newmark",
+    "TimeScheme",
     "asgs",
+    "density",
     "element_size",
     "embed",
+    "ghost_penalty",
     "mixed",
     "mixed_space",
     "osgs",
     "parts",
     "ppp",
     "residuals",
+    "set_initial_state",
     "stabilized",
     "tau",
     "volumetric_residual",

@@ -367,6 +367,19 @@ class MaterialPoints:
     def _rows(self, which: npt.NDArray) -> dict[str, npt.NDArray]:
         return {name: a[which] for name, a in self._data.items()}
 
+    def snapshot(self) -> dict[str, npt.NDArray]:
+        """Copies of all arrays on this rank, to be given to `restore`."""
+        return {name: a.copy() for name, a in self._data.items()}
+
+    def restore(self, snapshot: Mapping[str, npt.NDArray]) -> None:
+        """Go back to what the points were at a snapshot, cells, ranks and fields. Collective.
+
+        Args:
+            snapshot: Of these points; not changed, so that it can be used again.
+        """
+        self._replace({name: a.copy() for name, a in snapshot.items()})
+        self.size_global = self._comm.allreduce(len(self))
+
     def _replace(self, data: dict[str, npt.NDArray]) -> None:
         self._data = data
         self._order = None

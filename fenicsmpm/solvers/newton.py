@@ -18,6 +18,7 @@ from dolfinx import fem
 
 from fenicsmpm import _compat, forms
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
+from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
 
@@ -45,11 +46,13 @@ class NewtonResult:
         iterations: number of linear systems solved.
         residuals: norm of the residual on free degrees of freedom before and after each.
         step_lengths: factor applied to each Newton step, 1 unless the line search cut it.
+        seconds: time spent on "assembly" and on the "linear solver" [s].
     """
 
     iterations: int = 0
     residuals: list[float] = field(default_factory=list)
     step_lengths: list[float] = field(default_factory=list)
+    seconds: Stopwatch = field(default_factory=Stopwatch)
 
 
 class NewtonSolver:
@@ -120,9 +123,10 @@ class NewtonSolver:
             ValueError: for Dirichlet conditions on another space.
         """
         self._check_bcs()
-        self._prepare_matrix()
-        start = self.U.x.array.copy()
         result = NewtonResult()
+        with result.seconds("matrix pattern"):
+            self._prepare_matrix()
+        start = self.U.x.array.copy()
         try:
             self._iterate(result)
         except BaseException:
@@ -149,7 +153,8 @@ class NewtonSolver:
 
     def _iterate(self, result: NewtonResult) -> None:
         self._stagnates = False
-        norm = self._residual_norm()
+        with result.seconds("assembly"):
+            norm = self._residual_norm()
         result.residuals.append(norm)
         self._require_finite(norm, result, "at the start")
         reference = norm
@@ -167,16 +172,20 @@ class NewtonSolver:
                     f"{self.rtol * reference:.1e} wanted; try smaller load steps or line_search",
                     result.residuals,
                 )
-            forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
+            with result.seconds("assembly"):
+                forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
             if has_gap:
                 # the constrained values are still to be reached: the step moves all of U with them
-                norm = self._residual_norm(lifted=True)
+                with result.seconds("assembly"):
+                    norm = self._residual_norm(lifted=True)
                 reference = max(reference, norm)
             try:
-                self.linear.solve(self._A, self._b, self._step)
+                with result.seconds("linear solver"):
+                    self.linear.solve(self._A, self._b, self._step)
             except LinearSolverError as error:
                 raise NewtonError("linear solver", str(error), result.residuals) from error
-            previous, norm, length = norm, *self._advance(norm, result)
+            with result.seconds("assembly"):
+                previous, norm, length = norm, *self._advance(norm, result)
             result.iterations += 1
             result.residuals.append(norm)
             result.step_lengths.append(length)

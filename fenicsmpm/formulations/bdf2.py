@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""BDF2, the second-order backward differentiation formula, for implicit dynamics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dolfinx import fem
+
+from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.formulations.time_scheme import TimeScheme
+from fenicsmpm.points import MaterialPoints
+
+
+class BDF2(TimeScheme):
+    """Velocity and acceleration by BDF2 of displacement and velocity, for steps of any length.
+
+    Points carry the previous increments of displacement "du" and velocity "dv". The first step is
+    one of the implicit Euler method.
+
+    Args:
+        U: unknown, whose first part is the displacement increment u [m].
+        dt: time step [s].
+        flip: 1 for FLIP, 0 for PIC, or between.
+
+    Attributes:
+        dt: time step, a constant that may change from step to step.
+        histories: grid function of each field that is mapped from points, by the field's name.
+        increment: displacement increment u of the step [m].
+        acceleration: at the end of the step [m/s^2].
+    """
+
+    def __init__(self, U: fem.Function, *, dt: float, flip: float = 1.0) -> None:
+        """Write down velocity and acceleration."""
+        super().__init__(U, dt, flip, ("v", "du", "dv"))
+        mesh = U.function_space.mesh
+        self._new = fem.Constant(mesh, 1.0)  # factors of the new and of the previous increment
+        self._old = fem.Constant(mesh, 0.0)
+        self._previous_dt: float | None = None
+        v, du, dv = self.histories.values()
+        self.increment = parts(U)[0]
+        self._velocity = self._rate(self.increment, du)
+        self.acceleration = self._rate(self._velocity - v, dv)
+
+    def _rate(self, new: Any, old: Any) -> Any:
+        return (self._new * new - self._old * old) / self.dt
+
+    def begin(self) -> None:
+        """Adapt the factors to the lengths of this step and the one before."""
+        if self._previous_dt is not None:
+            ratio = float(self.dt.value) / self._previous_dt
+            self._new.value = (1 + 2 * ratio) / (1 + ratio)
+            self._old.value = ratio**2 / (1 + ratio)
+
+    def end(self) -> None:
+        """Remember the length of the step that was done."""
+        self._previous_dt = float(self.dt.value)
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """Length of the previous step."""
+        return {} if self._previous_dt is None else {"previous_dt": self._previous_dt}
+
+    @memory.setter
+    def memory(self, values: dict[str, float]) -> None:
+        self._previous_dt = values.get("previous_dt")
+
+    def velocity(self) -> Any:
+        """Grid velocity at the end of the step [m/s]."""
+        return self._velocity
+
+    def updates(self, points: MaterialPoints) -> dict[str, Any]:
+        """New values of the points' fields, as UFL over the points."""
+        change = self._velocity - self.histories["v"]
+        velocity = self.flip * (points.field("v") + change) + (1 - self.flip) * self._velocity
+        return {
+            "v": velocity,
+            "a": self.acceleration,
+            "du": self.increment,
+            "dv": velocity - points.field("v"),
+        }
+
+    def predictor(self) -> Any:
+        """First guess of the unknown u [m], from constant velocity."""
+        return self.dt * self.histories["v"]
+
+    def __repr__(self) -> str:
+        """Name and parameters."""
+        return f"BDF2(dt={float(self.dt.value):g} s, flip={self.flip:g})"

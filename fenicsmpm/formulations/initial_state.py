@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: MIT
+"""Fields that a body carries through a dynamic computation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.points import MaterialPoints
+
+
+def set_initial_state(
+    points: MaterialPoints,
+    density: float,
+    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None,
+) -> None:
+    """Give undeformed points the fields of a body in motion.
+
+    These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
+    determinant [-], "u" displacement [m], "v" velocity [m/s], "a" acceleration [m/s^2] and "p"
+    mean stress [Pa].
+
+    Args:
+        points: the body, with its volumes as weights.
+        density: [kg/m^d].
+        velocity: function of the positions ``(n, d)`` to initial velocities ``(n, d)``; None for
+            a body at rest.
+
+    Raises:
+        ValueError: for a density that is not positive and finite.
+    """
+    if not 0 < density < np.inf:
+        raise ValueError(f"the density must be positive and finite: {density}")
+    dim = points.mesh.geometry.dim
+    points.add_field("mass", (), density * points.weight)
+    points.add_field("V_0", (), points.weight)
+    points.add_field("F", (3, 3), np.eye(3))
+    points.add_field("J", (), 1.0)
+    points.add_field("u", (dim,))
+    points.add_field("v", (dim,), 0.0 if velocity is None else velocity(points.x))
+    points.add_field("a", (dim,))
+    points.add_field("p")

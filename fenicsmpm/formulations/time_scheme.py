@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: MIT
+"""TimeScheme: from displacement increments to inertia, in UFL."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import ufl
+from dolfinx import fem
+
+from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.mapping import FilledFraction
+from fenicsmpm.points import MaterialPoints
+
+
+class TimeScheme(ABC):
+    """What all schemes of time integration have in common.
+
+    Args:
+        U: unknown, whose first part is the displacement increment u [m].
+        dt: time step [s].
+        flip: 1 for FLIP, 0 for PIC, or between.
+        names: fields of the points that are mapped to the grid.
+
+    Attributes:
+        dt: time step, a constant that may change from step to step.
+        histories: grid function of each field that is mapped from points, by the field's name.
+        increment: displacement increment of the whole step [m], set by the scheme.
+        acceleration: at which inertia is taken [m/s^2], set by the scheme.
+        share: of a step, at whose end the equations hold.
+
+    Raises:
+        ValueError: for a time step that is not positive and finite, or a share of FLIP beyond
+            [0, 1].
+    """
+
+    increment: Any
+    acceleration: Any
+    share = 1.0
+
+    def __init__(self, U: fem.Function, dt: float, flip: float, names: tuple[str, ...]) -> None:
+        """Create the histories, zero by now."""
+        check_time_step(dt)
+        if not 0 <= flip <= 1:
+            raise ValueError(f"the share of FLIP in the velocity must lie in [0, 1]: flip = {flip}")
+        self.U, self.flip = U, flip
+        self.dt = fem.Constant(U.function_space.mesh, float(dt))
+        space = U.function_space.sub(0).collapse()[0]
+        self.histories = {name: fem.Function(space, name=name) for name in names}
+
+    def force(self, points: MaterialPoints, b: Any = None) -> Any:
+        """Body force less inertia per volume before the step, rho_n (b - a) [N/m^d].
+
+        To be used as ``force`` of the formulations; the mass matrix is then the consistent one.
+
+        Args:
+            points: the body, with the field "mass".
+            b: body force per mass, such as gravity [m/s^2]; None for none.
+        """
+        acceleration = -self.acceleration if b is None else b - self.acceleration
+        return density(points) * acceleration
+
+    def lumped(self, V: Any, points: MaterialPoints) -> ufl.Form:
+        """Inertia (rho a, w) with the lumped mass of the points (VMS, section 5).
+
+        Args:
+            V: test function of the unknown's space.
+            points: the body, with the field "mass".
+        """
+        mass = FilledFraction(points, "mass")
+        return mass * ufl.inner(self.acceleration, parts(V)[0]) * mass.vertex_dx
+
+    @abstractmethod
+    def updates(self, points: MaterialPoints) -> dict[str, Any]:
+        """New values of the points' fields at the end of a step, as UFL over the points.
+
+        Args:
+            points: the body.
+        """
+
+    def begin(self) -> None:
+        """To be called before each attempt at a step, when its length is known."""
+
+    def end(self) -> None:
+        """To be called after each step that was done."""
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """What a scheme remembers of the steps before, besides the points' fields."""
+        return {}
+
+    @memory.setter
+    def memory(self, values: dict[str, float]) -> None:
+        """Take up what another run remembered."""
+
+
+def density(points: MaterialPoints) -> Any:
+    """Density per volume before the step, rho_n = m / V_n [kg/m^d], as UFL over the points."""
+    return points.field("mass") / points.field("weight")
+
+
+def check_time_step(dt: float) -> None:
+    """Raise ValueError for a time step that is not positive and finite."""
+    if not 0 < dt < float("inf"):
+        raise ValueError(f"the time step must be positive and finite: dt = {dt}")

@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: MIT
+"""ImplicitMPM: the implicit time loop (VMS, algorithm 1)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from fenicsmpm.forms import PointExpression
+from fenicsmpm.formulations import Kinematics, parts
+from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
+from fenicsmpm.mapping import project
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.exits import move
+from fenicsmpm.solvers import NewtonError, NewtonResult, NewtonSolver
+from fenicsmpm.solvers.stopwatch import Stopwatch
+
+logger = logging.getLogger(__name__)
+
+# Fields of a body that are mapped to the parts of the unknown, in their order
+_PARTS = ("u", "p", "Pi_u", "Pi_p")
+
+
+@dataclass
+class Step:
+    """What happened in a time step.
+
+    Attributes:
+        number: of the step, from 1.
+        time: at its end [s].
+        dt: its length [s].
+        newton: how its equations were solved.
+        attempts: 1 plus the number of times that the step was halved.
+        removed: points that left the mesh and were deleted or held back.
+    """
+
+    number: int
+    time: float
+    dt: float
+    newton: NewtonResult
+    attempts: int = 1
+    removed: int = 0
+
+
+class ImplicitMPM:
+    """Updated Lagrangian dynamics of material points on a background mesh that stays.
+
+    A step is ``map_to_grid``, ``predict``, ``solve``, ``map_to_points`` and ``convect``; a
+    subclass or a loop of one's own may replace any of them.
+
+    Args:
+        R: residual, with inertia from the scheme.
+        U: its unknown, ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
+        scheme: time scheme made with U.
+        bodies: material points with the fields of ``set_initial_state``.
+        carried: further points that move with the grid, such as those that carry loads; each gets
+            a field "u" if it has none.
+        bcs: Dirichlet conditions on U, that is on the increment of displacement of the step.
+        updates: for each body, more fields to be updated at the end of a step, UFL over its points.
+        data: called with the times at the beginning of a step and at which its equations hold, to
+            set loads and boundary values that depend on time.
+        on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
+        adapt: called with each body at the end of a step, to change its quadrature weights.
+        newton: options of ``NewtonSolver``.
+
+    Attributes:
+        time: [s].
+        number: of steps done.
+        seconds: time spent in each stage so far [s].
+    """
+
+    def __init__(
+        self,
+        R: ufl.Form,
+        U: fem.Function,
+        scheme: TimeScheme,
+        bodies: MaterialPoints | Sequence[MaterialPoints],
+        *,
+        carried: Sequence[MaterialPoints] = (),
+        bcs: Sequence[fem.DirichletBC] = (),
+        updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
+        data: Callable[[float, float], None] | None = None,
+        on_exit: str = "error",
+        adapt: Callable[[MaterialPoints], None] | None = None,
+        newton: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Compile the residual, its tangent and the updates (collective)."""
+        self.U, self.scheme = U, scheme
+        self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
+        self.carried = list(carried)
+        self.data, self.on_exit, self.adapt = data, on_exit, adapt
+        self.time, self.number = 0.0, 0
+        self.seconds = Stopwatch()
+        self._dt = float(scheme.dt.value)
+        self.newton = NewtonSolver(R, U, bcs, **(newton or {}))
+        self._parts = [U.function_space.sub(i).collapse() for i in range(len(parts(U)))]
+        self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
+        shapes = dict(zip(_PARTS, (part.ufl_shape for part in parts(U)), strict=False))
+        for body in self.bodies:
+            _require_fields(body)
+            for name, shape in shapes.items():
+                if name not in body:
+                    body.add_field(name, shape)
+            for name in scheme.histories:
+                if name not in body:
+                    body.add_field(name, shapes["u"])
+        for points in self.carried:
+            if "u" not in points:
+                points.add_field("u", shapes["u"])
+        self._updates = {
+            points: _Updates(points, self._new_fields(points, updates or {}))
+            for points in (*self.bodies, *self.carried)
+        }
+
+    # --- stages ------------------------------------------------------------------------------
+
+    def map_to_grid(self) -> None:
+        """P2G: histories of the scheme, pressure and projections, by lumped mass."""
+        for name, function in self.scheme.histories.items():
+            project(self.bodies, name, function)
+        for name, function in zip(_PARTS[1:], self._nodal, strict=False):
+            project(self.bodies, name, function)
+
+    def predict(self) -> None:
+        """Start Newton's method from the old pressure and no displacement."""
+        self.U.x.array[:] = 0.0
+        for function, (_, dofs) in zip(self._nodal, self._parts[1:], strict=True):
+            self.U.x.array[dofs] = function.x.array
+
+    def solve(self) -> NewtonResult:
+        """Find the increment of displacement and the pressure on the grid."""
+        return self.newton.solve()
+
+    def map_to_points(self) -> dict[MaterialPoints, dict[str, npt.NDArray[np.float64]]]:
+        """G2P: new values of the fields of all points; nothing is assigned yet."""
+        return {points: update.evaluate() for points, update in self._updates.items()}
+
+    def convect(self, new: Mapping[MaterialPoints, Mapping[str, npt.NDArray[np.float64]]]) -> int:
+        """Assign new fields, move all points, and take the new volumes as weights.
+
+        Returns:
+            How many points left the mesh and were deleted or held back.
+        """
+        removed = 0
+        for points, fields in new.items():
+            increment = fields["u"] - points["u"]
+            for name, values in fields.items():
+                points[name] = values
+            removed += move(points, points.x + increment, self.on_exit)
+        for body in self.bodies:
+            body["J"] = np.linalg.det(body["F"])
+            body["weight"] = body["V_0"] * body["J"]
+            if self.adapt is not None:
+                self.adapt(body)
+        return removed
+
+    # --- steps -------------------------------------------------------------------------------
+
+    def step(self, dt: float | None = None) -> Step:
+        """Do one step; if it fails, all points are as they were before it (collective).
+
+        Args:
+            dt: its length [s]; None for the scheme's.
+
+        Raises:
+            NewtonError: the equations could not be solved.
+            PointsOutsideError: points left the mesh.
+        """
+        if dt is not None:
+            check_time_step(dt)
+            self.scheme.dt.value = dt
+        if self.number == 0:
+            self._start()
+        dt = float(self.scheme.dt.value)
+        before = self._snapshot()
+        clock = self.seconds
+        try:
+            if self.data is not None:
+                self.data(self.time, self.time + self.scheme.share * dt)
+            self.scheme.begin()
+            with clock("map"):
+                self.map_to_grid()
+                self.predict()
+            result = self.solve()
+            with clock("map"):
+                new = self.map_to_points()
+            with clock("convect"):
+                removed = self.convect(new)
+        except BaseException:
+            self._restore(before)
+            raise
+        for name, seconds in result.seconds.items():
+            clock.add(name, seconds)
+        self.scheme.end()
+        self.time += dt
+        self.number += 1
+        return Step(self.number, self.time, dt, result, removed=removed)
+
+    def run(self, until: float, *, smallest: float = 1e-3) -> Iterator[Step]:
+        """Steps until a time; one that fails is tried again with half its length.
+
+        After a success, the step grows again up to the length that it had at first.
+
+        Args:
+            until: end [s].
+            smallest: share of the step's first length below which there is no use in trying.
+
+        Yields:
+            Each step that was done.
+
+        Raises:
+            NewtonError: a step of the smallest length failed as well.
+        """
+        dt, attempts = self._dt, 1
+        while until - self.time > 1e-9 * self._dt:
+            left = until - self.time
+            try:
+                # what is left is not to become a last step of nearly no length
+                step = self.step(left if left < 1.001 * dt else dt)
+            except NewtonError as error:
+                if dt / 2 < smallest * self._dt:
+                    raise
+                dt, attempts = dt / 2, attempts + 1
+                logger.warning("step %d halved to %g s: %s", self.number + 1, dt, error)
+                continue
+            step.attempts, attempts = attempts, 1
+            dt = min(2 * dt, self._dt)
+            yield step
+
+    def _snapshot(self) -> Any:
+        return [(points, points.snapshot()) for points in self._updates]
+
+    def _restore(self, snapshot: Any) -> None:
+        for points, arrays in snapshot:
+            points.restore(arrays)
+
+    def _start(self) -> None:
+        """Find accelerations at the start by a step of the implicit Euler method; nothing moves.
+
+        A load that is there from the beginning would otherwise act late by half a step. The step
+        has the usual length: where dt is far less than the time that shear waves take through a
+        cell, tau_1 no longer fits the problem.
+        """
+        scheme = self.scheme
+        if not hasattr(scheme, "start_up"):
+            return
+        if self.data is not None:
+            self.data(self.time, self.time)
+        scheme.start_up(True)
+        try:
+            self.map_to_grid()
+            self.predict()
+            self.solve()
+            for body in self.bodies:
+                new = self._updates[body].evaluate()
+                body["a"], body["p"] = new["a"], new["p"]
+        finally:
+            scheme.start_up(False)
+
+    def _new_fields(
+        self, points: MaterialPoints, updates: Mapping[MaterialPoints, Mapping[str, Any]]
+    ) -> dict[str, Any]:
+        increment = self.scheme.increment
+        fields = {"u": points.field("u") + increment}
+        if points in self.bodies:
+            others = zip(_PARTS[1:], parts(self.U)[1:], strict=False)
+            fields |= {"F": Kinematics(increment, points).F, **dict(others)}
+            fields |= self.scheme.updates(points)
+        return fields | dict(updates.get(points, {}))
+
+    def __repr__(self) -> str:
+        """Unknowns, points and scheme."""
+        dofs = self.U.function_space.dofmap
+        n = dofs.index_map.size_global * dofs.index_map_bs
+        bodies = ", ".join(f"{body.size_global} points" for body in self.bodies)
+        carried = sum(points.size_global for points in self.carried)
+        return (
+            f"ImplicitMPM: {n} unknowns on the background mesh, {bodies}, {carried} carried "
+            f"points\n  {self.scheme}\n  step {self.number}, t = {self.time:g} s"
+        )
+
+
+class _Updates:
+    """New values of several fields of a point set, compiled as one expression."""
+
+    def __init__(self, points: MaterialPoints, fields: Mapping[str, Any]) -> None:
+        self._shapes = {name: value.ufl_shape for name, value in fields.items()}
+        components = [
+            value[index] if index else value
+            for value in fields.values()
+            for index in np.ndindex(value.ufl_shape)
+        ]
+        self._expression = PointExpression(ufl.as_vector(components), points)
+
+    def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
+        values = self._expression.evaluate()
+        result, first = {}, 0
+        for name, shape in self._shapes.items():
+            size = int(np.prod(shape, dtype=int))
+            result[name] = values[:, first : first + size].reshape(len(values), *shape)
+            first += size
+        return result
+
+
+def _require_fields(body: MaterialPoints) -> None:
+    missing = [name for name in ("mass", "V_0", "F", "J", "u", "v", "p") if name not in body]
+    if missing:
+        raise ValueError(
+            f"a body without the fields {', '.join(missing)} cannot move: call "
+            "set_initial_state(points, density) before its formulation is written down"
+        )

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: MIT
+"""Time spent in the stages of a computation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class Stopwatch(dict[str, float]):
+    """Seconds by stage; ``with watch("map"): ...`` adds the time of a block."""
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Measure a block.
+
+        Args:
+            stage: name under which its time is added up.
+        """
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(stage, time.perf_counter() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Add time to a stage.
+
+        Args:
+            stage: its name.
+            seconds: time [s].
+        """
+        self[stage] = self.get(stage, 0.0) + seconds
