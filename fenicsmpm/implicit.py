@@ -73,6 +73,7 @@ class ImplicitMPM:
     Attributes:
         time: [s].
         number: of steps done.
+        next_dt: length of the next step that ``run`` will try [s].
         seconds: time spent in each stage so far [s].
     """
 
@@ -98,7 +99,7 @@ class ImplicitMPM:
         self.data, self.on_exit, self.adapt = data, on_exit, adapt
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
-        self._dt = float(scheme.dt.value)
+        self.next_dt = self._dt = float(scheme.dt.value)
         self.newton = NewtonSolver(R, U, bcs, **(newton or {}))
         self._parts = [U.function_space.sub(i).collapse() for i in range(len(parts(U)))]
         self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
@@ -218,20 +219,20 @@ class ImplicitMPM:
         Raises:
             NewtonError: a step of the smallest length failed as well.
         """
-        dt, attempts = self._dt, 1
+        attempts = 1
         while until - self.time > 1e-9 * self._dt:
             left = until - self.time
             try:
                 # what is left is not to become a last step of nearly no length
-                step = self.step(left if left < 1.001 * dt else dt)
+                step = self.step(left if left < 1.001 * self.next_dt else self.next_dt)
             except NewtonError as error:
-                if dt / 2 < smallest * self._dt:
+                if self.next_dt / 2 < smallest * self._dt:
                     raise
-                dt, attempts = dt / 2, attempts + 1
-                logger.warning("step %d halved to %g s: %s", self.number + 1, dt, error)
+                self.next_dt, attempts = self.next_dt / 2, attempts + 1
+                logger.warning("step %d halved to %g s: %s", self.number + 1, self.next_dt, error)
                 continue
             step.attempts, attempts = attempts, 1
-            dt = min(2 * dt, self._dt)
+            self.next_dt = min(2 * self.next_dt, self._dt)
             yield step
 
     def _snapshot(self) -> Any:
