@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import cpp, fem, jit
-from ufl.algorithms import expand_derivatives, extract_coefficients
+from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
 
@@ -109,7 +109,8 @@ class CompiledForm:
 
     Args:
         mesh: dolfinx mesh.
-        form: UFL form with integrals over subdomain 1.
+        form: UFL form with integrals over subdomain 1, without derivatives yet to be expanded,
+            which may make coefficients disappear and then confuse dolfinx 0.9.
         options: ``form_compiler_options`` and ``jit_options`` of ``dolfinx.fem.form``.
     """
 
@@ -120,8 +121,6 @@ class CompiledForm:
             name: value for name, value in options.items() if value is not None
         }
         compiler_options = {"scalar_type": np.float64} | options.pop("form_compiler_options")
-        # 0.9 confuses coefficients if derivatives make some of them disappear
-        form = expand_derivatives(form)
         self._compiled = fem.compile_form(
             mesh.comm, form, form_compiler_options=compiler_options, **options
         )

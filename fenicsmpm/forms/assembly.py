@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 from dolfinx import cpp, fem, la
 from dolfinx.fem import petsc
 
@@ -27,6 +28,10 @@ _Array = npt.NDArray[np.float64]
 # CSR positions of the element matrices, for each matrix, while the selected groups stay the same
 _positions: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
 _positions = weakref.WeakKeyDictionary()
+# Values of constant region forms in a matrix, with what they belong to
+_constant_parts: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
+_constant_parts = weakref.WeakKeyDictionary()
+_Indices = npt.NDArray[np.int32]
 
 
 def _check(compiled: Form, rank: int) -> None:
@@ -111,32 +116,48 @@ def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
         pattern = fem.create_sparsity_pattern(a.ordinary)
     else:
         pattern = cpp.la.SparsityPattern(a.mesh.comm, maps, sizes)
-    for groups, stencil in _groups_with_room(a, compact):
-        rows, columns = (stencil.dofs(V) for V in a.function_spaces)
-        for group in groups:
-            pattern.insert(rows[group], columns[group])
-    for form in a.region_forms:
-        for kind in form.types:
-            cells = form.region.blocks(kind)
-            spaces = a.function_spaces
-            rows, columns = (V.dofmap.list[cells].reshape(len(cells), -1) for V in spaces)
-            for row, column in zip(rows, columns, strict=True):
-                pattern.insert(row, column)
+    for rows, columns in _meetings(a, compact):
+        _insert_cliques(pattern, rows, columns)
     if _is_square(a):
         pattern.insert_diagonal(np.arange(maps[0].size_local, dtype=np.int32))
     pattern.finalize()
     return la.matrix_csr(pattern, cpp.la.BlockMode.expanded)
 
 
-def _groups_with_room(a: Form, compact: bool) -> Iterator[tuple[Any, Any]]:
-    """Groups of points that a matrix has room for, with a stencil that knows their dofs."""
-    if not compact:
-        for stencil in {type(i.stencil): i.stencil for i in a.point_integrals}.values():
-            yield range(stencil.n_owned_groups), stencil
-        return
-    for integral in a.point_integrals:
-        integral.refresh()
-        yield integral.groups, integral.stencil
+def _meetings(a: Form, compact: bool) -> Iterator[tuple[_Indices, _Indices]]:
+    """Blocks of test and trial functions that meet, ``(n, n_blocks)`` each, for a pattern."""
+    if compact:
+        for integral in a.point_integrals:
+            integral.refresh()
+        known = [(i.stencil, i.groups) for i in a.point_integrals]
+    else:
+        stencils = {type(i.stencil): i.stencil for i in a.point_integrals}.values()
+        known = [(stencil, np.arange(stencil.n_owned_groups)) for stencil in stencils]
+    for stencil, groups in known:
+        rows, columns = (stencil.dofs(V)[groups] for V in a.function_spaces)
+        yield rows, columns
+    for form in a.region_forms:
+        for kind in form.types:
+            cells = form.region.blocks(kind)
+            if len(cells) > 0:
+                lists = [V.dofmap.list[cells] for V in a.function_spaces]
+                rows, columns = (blocks.reshape(len(cells), -1) for blocks in lists)
+                yield rows, columns
+
+
+def _insert_cliques(pattern: Any, rows: _Indices, columns: _Indices) -> None:
+    """Insert all pairs of each line of rows and columns, every pair once."""
+    incidence = []
+    for blocks in (rows, columns):
+        n, k = blocks.shape
+        ends = k * np.arange(n + 1)
+        size = int(blocks.max(initial=-1)) + 1
+        one = np.ones(n * k, dtype=np.int8)
+        incidence.append(scipy.sparse.csr_array((one, blocks.ravel(), ends), shape=(n, size)))
+    pairs = (incidence[0].T.astype(np.bool_) @ incidence[1].astype(np.bool_)).tocsr()
+    for row in np.flatnonzero(np.diff(pairs.indptr)).astype(np.int32):
+        found = pairs.indices[pairs.indptr[row] : pairs.indptr[row + 1]]
+        pattern.insert(np.array([row]), found.astype(np.int32))
 
 
 def assemble_matrix(
@@ -165,12 +186,9 @@ def assemble_matrix(
     A = create_matrix(a) if A is None else A
     if list(A.block_size) != [1, 1]:
         raise ValueError(f"matrix of block sizes {A.block_size}: use create_matrix of this form")
-    A.set_value(0.0)
     fixed = [_marks(V, bcs) for V in a.function_spaces]
-    mesh_forms = a.mesh_forms()
-    for form in mesh_forms:
-        _add_ordinary(A, form, list(bcs))
-    reached = _reached_by_values(A) if mesh_forms else None
+    _set_mesh_forms(A, a, list(bcs), fixed)
+    reached = _reached_by_values(A) if a.has_mesh_forms else None
     for integral in a.point_integrals:
         sources = integral.lowered.arguments
         dofs = [integral.dofs(s, V) for s, V in zip(sources, a.function_spaces, strict=True)]
@@ -197,11 +215,9 @@ def inactive_dofs(a: Form) -> npt.NDArray[np.int32]:
         Owned local indices, unrolled.
     """
     reached = None
-    mesh_forms = a.mesh_forms()
-    if mesh_forms and a.rank == 2:
+    if a.has_mesh_forms and a.rank == 2:
         A = create_matrix(a)
-        for form in mesh_forms:
-            _add_ordinary(A, form, [])
+        _set_mesh_forms(A, a, [], [_marks(V, []) for V in a.function_spaces])
         reached = _reached_by_values(A)
     V = a.function_spaces[0]
     owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
@@ -245,6 +261,29 @@ def apply_lifting(
             dofs = [integral.dofs(s, W) for s, W in zip(sources, form.function_spaces, strict=True)]
             for groups, matrices in integral.element_tensors():
                 loops.lift(matrices, *dofs, integral.groups[groups], fixed, values, b)
+
+
+def _set_mesh_forms(
+    A: la.MatrixCSR, a: Form, bcs: list[fem.DirichletBC], fixed: list[npt.NDArray[np.uint8]]
+) -> None:
+    """Set a matrix to the integrals over cells and facets.
+
+    Those over regions that have no coefficients are kept until the points move.
+    """
+    constant = [form for form in a.region_forms if form.is_constant]
+    if constant:
+        key = (tuple(form.region.version for form in constant), *(f.tobytes() for f in fixed))
+        kept = _constant_parts.setdefault(A, weakref.WeakKeyDictionary())
+        if a not in kept or kept[a][0] != key:
+            A.set_value(0.0)
+            for region_form in constant:
+                _add_ordinary(A, region_form.current(), bcs)
+            kept[a] = (key, A.data.copy())
+        A.data[:] = kept[a][1]
+    else:
+        A.set_value(0.0)
+    for form in a.mesh_forms(varying=True):
+        _add_ordinary(A, form, bcs)
 
 
 def _add_ordinary(A: la.MatrixCSR, a: fem.Form, bcs: list[fem.DirichletBC]) -> None:

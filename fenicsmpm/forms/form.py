@@ -62,10 +62,20 @@ class Form:
         regions = tuple(form.region.version for form in self.region_forms)
         return (*(integral.points.version for integral in self.point_integrals), *regions)
 
-    def mesh_forms(self) -> list[fem.Form]:
-        """Dolfinx forms of all integrals over cells and facets, as they are now (collective)."""
+    @property
+    def has_mesh_forms(self) -> bool:
+        """Whether there are integrals over cells or facets."""
+        return self.ordinary is not None or bool(self.region_forms)
+
+    def mesh_forms(self, varying: bool = False) -> list[fem.Form]:
+        """Dolfinx forms of all integrals over cells and facets, as they are now (collective).
+
+        Args:
+            varying: without those whose tensors change with the region only.
+        """
         fixed = [] if self.ordinary is None else [self.ordinary]
-        return fixed + [form.current() for form in self.region_forms]
+        selected = [f for f in self.region_forms if not (varying and f.is_constant)]
+        return fixed + [form.current() for form in selected]
 
     def refresh(self) -> None:
         """Bring coefficients that are derived from points up to date (collective)."""

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from ufl.algorithms import expand_derivatives
 
 from fenicsmpm import _compat
 
@@ -40,6 +41,11 @@ class RegionForm:
     Args:
         integrals: UFL integrals with the same region as data.
         options: of ``dolfinx.fem.form``.
+
+    Attributes:
+        region: where its integrals are taken.
+        types: of its integrals.
+        is_constant: whether it has neither coefficients nor constants.
     """
 
     def __init__(self, integrals: list[ufl.Integral], options: dict[str, Any]) -> None:
@@ -48,8 +54,11 @@ class RegionForm:
         if any(i.subdomain_id() != "everywhere" for i in integrals):
             raise ValueError("integrals over active cells or facets cannot be restricted further")
         # over "everywhere" dolfinx would take all entities of the mesh
-        form = ufl.Form([i.reconstruct(subdomain_data=None, subdomain_id=1) for i in integrals])
+        form = expand_derivatives(
+            ufl.Form([i.reconstruct(subdomain_data=None, subdomain_id=1) for i in integrals])
+        )
         self.types = {i.integral_type() for i in integrals}
+        self.is_constant = not (form.coefficients() or form.constants())
         self._compiled = _compat.CompiledForm(self.region.mesh, form, options)
         self._version: Any = None
         self._form: fem.Form | None = None
