@@ -312,7 +312,7 @@ def run(example, n, dt, until, output):
         for i in range(whole + 1):
             if i > 0:
                 steps += body.advance(dt, dt)
-            row = [f"{i * dt:.6g}"] + [f"{value:.6f}" for value in body.displacement]
+            row = [f"{i * dt:.6g}"] + [f"{value + 0.0:.6f}" for value in body.displacement]
             print(",".join(row), file=file, flush=True)
             if i % max(1, whole // 20) == 0:
                 print(
