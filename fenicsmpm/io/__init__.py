@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: MIT
 """Output for people and for other programs."""
 
+from fenicsmpm.io import checkpoint
 from fenicsmpm.io.console import Table, progress, say, show_log
+from fenicsmpm.io.history import History, read_history
 from fenicsmpm.io.pictures import Panel, colour_range, picture
 from fenicsmpm.io.results import gather_functions, gather_points, write
+from fenicsmpm.io.series import Series
 
 __all__ = [
+    "History",
     "Panel",
+    "Series",
     "Table",
+    "checkpoint",
     "colour_range",
     "gather_functions",
     "gather_points",
     "picture",
     "progress",
+    "read_history",
     "say",
     "show_log",
     "write",

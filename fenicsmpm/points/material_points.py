@@ -42,6 +42,7 @@ class MaterialPoints:
         mesh: The background mesh, which does not move.
         version: Grows whenever positions, cells, order or number of the points change.
         size_global: Number of points on all ranks.
+        next_id: Id of the next point that is added.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class MaterialPoints:
         self._coefficients: dict[str, PointField] = {}
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)
-        self._next_id = self.size_global
+        self.next_id = self.size_global
         data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         if "xi" in data:
             global_cell = self._locator.geometry.global_index[data["cell"]]
@@ -314,9 +315,9 @@ class MaterialPoints:
                 "add_field what is missing"
             )
         n = len(other)
-        ids = self._next_id + (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
+        ids = self.next_id + (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         new = {**other._data, "id": ids}
-        self._next_id += other.size_global
+        self.next_id += other.size_global
         self.size_global += other.size_global
         self._replace({name: np.concatenate([a, new[name]]) for name, a in self._data.items()})
 

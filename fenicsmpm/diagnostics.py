@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""What is recorded of a body in motion: momentum, energy, and values at single points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm import forms
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import MaterialPoints
+
+
+def momentum(body: MaterialPoints) -> npt.NDArray[np.float64]:
+    """Linear momentum, the sum of m v over all points of all ranks (collective).
+
+    Args:
+        body: material points with the fields "mass" and "v".
+
+    Returns:
+        [kg m/s], shape (d,); per thickness in the plane.
+    """
+    return body.mesh.comm.allreduce(body["mass"] @ body["v"])
+
+
+def angular_momentum(body: MaterialPoints) -> float | npt.NDArray[np.float64]:
+    """Angular momentum about the origin, the sum of x cross m v (collective).
+
+    Args:
+        body: material points with the fields "mass" and "v".
+
+    Returns:
+        [kg m^2/s], a number in the plane (per thickness), shape (3,) in space.
+    """
+    x, v = body.x, body["v"]
+    if x.shape[1] == 2:
+        turning = x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]
+        return float(body.mesh.comm.allreduce(body["mass"] @ turning))
+    return body.mesh.comm.allreduce(body["mass"] @ np.cross(x, v))
+
+
+def kinetic_energy(body: MaterialPoints) -> float:
+    """Kinetic energy, the sum of m v . v / 2 over all points of all ranks (collective).
+
+    Args:
+        body: material points with the fields "mass" and "v".
+
+    Returns:
+        [J], per thickness in the plane.
+    """
+    return float(body.mesh.comm.allreduce(body["mass"] @ np.sum(body["v"] ** 2, axis=1) / 2))
+
+
+def strain_energy(body: MaterialPoints, law: NeoHookean) -> float:
+    """Deviatoric strain energy, the sum of V_0 psi(F, J) over all points (collective).
+
+    It is all the strain energy of an incompressible material. The volumetric energy of a
+    compressible one is left out: in the mixed formulation the pressure is an unknown of its own,
+    and no law gives that energy from F alone.
+
+    Args:
+        body: material points with the fields "V_0", "F" and "J".
+        law: constitutive law.
+
+    Returns:
+        [J], per thickness in the plane.
+    """
+    F, J = body.field("F"), body.field("J")
+    energy = law.energy(F, J) * body.field("V_0") / body.field("weight")
+    return float(forms.assemble_scalar(forms.form(energy * body.dx)))
+
+
+def probe(points: MaterialPoints, name: str) -> Any:
+    """Value of a field at the only point of a point set, on all ranks (collective).
+
+    Args:
+        points: a set of one point, such as one that a simulation carries along.
+        name: name of a field, or "x" for the position [m].
+
+    Returns:
+        A number or an array of the field's shape.
+
+    Raises:
+        ValueError: on all ranks, if there are no or several points.
+    """
+    if points.size_global != 1:
+        raise ValueError(
+            f"a probe needs a set of one point, not of {points.size_global}: make one with "
+            "MaterialPoints, or select() it"
+        )
+    values = points.mesh.comm.allgather(np.array(points[name]))
+    return np.concatenate(values)[0]

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: MIT
+"""Files that are replaced as a whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Write a file beside another one and let it take its place at the end.
+
+    Whoever reads ``path`` finds the old file or the new one, also if the program is killed or the
+    disk is full. After an error the unfinished file is removed; one that a killed program left is
+    overwritten by the next.
+
+    Args:
+        path: file to be replaced or made; missing directories are made.
+
+    Yields:
+        The unfinished file, open for writing.
+
+    Raises:
+        OSError: if it cannot be written; ``path`` is as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".tmp")
+    try:
+        with open(unfinished, "wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(unfinished, path)
+    except BaseException:
+        unfinished.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: MIT
+"""A simulation goes on from a checkpoint as if it had not been interrupted."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+
+from mpi4py import MPI
+
+import h5py
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+
+import fenicsmpm
+from fenicsmpm import ImplicitMPM, MaterialPoints
+from fenicsmpm import formulations as fm
+from fenicsmpm.io import checkpoint
+from fenicsmpm.io.checkpoint import CheckpointError
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import lattice, on_curve
+
+comm = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def directory(tmp_path):
+    """The same directory on all ranks."""
+    return comm.bcast(tmp_path)
+
+
+def cantilever(scheme=fm.Bossak, on=comm, size=2.0, cell=mesh.CellType.triangle):
+    """A block of rubber in a coarse mesh, clamped on the left, pulled up on the right."""
+    domain = mesh.create_rectangle(on, [(0, 0), (size, 2)], [6, 6], cell)
+    body = lattice(domain, 0.15, inside=lambda x: (x[:, 0] < 1.2) & (abs(x[:, 1] - 0.9) < 0.4))
+    edge = on_curve(domain, (1.2, 0.5), (1.2, 1.3), spacing=0.1)
+    fm.set_initial_state(body, 1.0, velocity=lambda x: x[:, :1] * (0.0, 2.5))
+    W = fm.mixed_space(domain)
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    law = NeoHookean(250.0, 0.5)
+    scheme = scheme(U, dt=0.02)
+    R = fm.stabilized("asgs", U, V, body, law, force=scheme.force(body))
+    R -= ufl.inner(ufl.as_vector((0, 6.0)), ufl.split(V)[0]) * edge.dx
+    W0, _ = W.sub(0).collapse()
+    left = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[0], 0))
+    dofs = fem.locate_dofs_topological((W.sub(0), W0), 1, left)
+    bc = fem.dirichletbc(fem.Function(W0), dofs, W.sub(0))
+    return ImplicitMPM(R, U, scheme, body, carried=[edge], bcs=[bc])
+
+
+def advance(sim, steps=3):
+    """Steps of different lengths."""
+    for _ in range(steps):
+        sim.step((0.02, 0.01)[sim.number % 2])
+    return sim
+
+
+def state(sim):
+    sets = [*sim.bodies, *sim.carried]
+    numbers = (sim.time, sim.number, sim.next_dt, float(sim.scheme.dt.value), sim.scheme.memory)
+    return numbers, [(points.next_id, points.size_global, points.snapshot()) for points in sets]
+
+
+def assert_same(one, other):
+    """Equal bit by bit, on each rank."""
+    assert one[0] == other[0]
+    for (id1, size1, arrays1), (id2, size2, arrays2) in zip(one[1], other[1], strict=True):
+        assert (id1, size1, list(arrays1)) == (id2, size2, list(arrays2))
+        for name in arrays1:
+            assert arrays1[name].dtype == arrays2[name].dtype
+            assert np.array_equal(arrays1[name], arrays2[name]), name
+
+
+def by_id(points):
+    parts = points.mesh.comm.allgather(points.snapshot())
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    order = np.argsort(arrays["id"])
+    return {name: a[order] for name, a in arrays.items() if name not in ("cell", "xi")}
+
+
+def assert_close(one, other):
+    """Equal to round-off, whichever rank has the points."""
+    for points, others in zip(
+        (*one.bodies, *one.carried), (*other.bodies, *other.carried), strict=True
+    ):
+        assert points.next_id == others.next_id
+        mine, theirs = by_id(points), by_id(others)
+        for name in mine:
+            size = np.max(np.abs(mine[name]), initial=0.0)
+            np.testing.assert_allclose(theirs[name], mine[name], rtol=0, atol=1e-9 * size)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("scheme", [fm.Bossak, fm.BDF2])
+def test_goes_on_bit_by_bit(scheme, directory):
+    path = directory / "new" / "three.h5"
+    sim = advance(cantilever(scheme))
+    sim.bodies[0].remove(sim.bodies[0].id == 7)
+    sim.bodies[0].sort()
+    sim.next_dt = 0.0125
+    checkpoint.save(path, sim)
+    saved = state(sim)
+    uninterrupted = state(advance(sim))
+    assert comm.allreduce(np.abs(sim.bodies[0]["u"]).max(initial=0.0), MPI.MAX) > 0.1
+
+    again = cantilever(scheme)
+    checkpoint.restore(path, again)
+    assert_same(state(again), saved)
+    assert_same(state(advance(again)), uninterrupted)
+    checkpoint.restore(path, again)  # also back in time
+    assert_same(state(again), saved)
+    assert [file.name for file in path.parent.iterdir()] == ["three.h5"]
+
+
+@pytest.mark.mpi
+def test_goes_on_within_run(directory):
+    sim = cantilever()
+    for step in sim.run(0.12):
+        if step.number == 3:
+            checkpoint.save(directory / "run.h5", sim)
+    again = cantilever()
+    checkpoint.restore(directory / "run.h5", again)
+    assert [step.number for step in again.run(0.12)] == [4, 5, 6]
+    assert_same(state(again), state(sim))
+
+
+@pytest.mark.mpi
+def test_the_start_is_a_state_too(directory):
+    sim = cantilever()
+    checkpoint.save(directory / "start.h5", sim)
+    again = advance(cantilever(), 1)
+    checkpoint.restore(directory / "start.h5", again)
+    assert_same(state(advance(again, 2)), state(advance(sim, 2)))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("writer", ["one rank", "all ranks"])
+def test_goes_on_with_another_number_of_ranks(writer, directory):
+    alone = {"one rank": MPI.COMM_SELF, "all ranks": comm}[writer]
+    sim = advance(cantilever(on=alone))
+    mine = directory / (f"{comm.rank}.h5" if writer == "one rank" else "0.h5")
+    checkpoint.save(mine, sim)
+    comm.barrier()
+    again = cantilever(on=comm if writer == "one rank" else MPI.COMM_SELF)
+    checkpoint.restore(directory / "0.h5", again)
+    body = again.bodies[0]
+    assert np.all(body.cell < body.mesh.topology.index_map(2).size_local)
+    assert_close(sim, again)
+    assert_close(advance(sim), advance(again))
+    assert again.time == sim.time
+
+
+@pytest.mark.mpi
+def test_goes_on_with_another_distribution(directory):
+    sim = advance(cantilever())
+    checkpoint.save(directory / "a.h5", sim)
+    if comm.rank == 0:
+        with h5py.File(directory / "a.h5", "r+") as file:
+            file.attrs["layout"] = ["of others"] * comm.size
+            for group in file["points"].values():
+                group["cell"][:] = -9
+                for name in group:
+                    group[name][:] = group[name][:][::-1]
+    comm.barrier()
+    again = cantilever()
+    checkpoint.restore(directory / "a.h5", again)
+    assert_close(sim, again)
+    assert_close(advance(sim), advance(again))
+
+
+@pytest.mark.mpi
+def test_ids_of_new_points_go_on(directory):
+    sim = cantilever()
+    body = sim.bodies[0]
+    body.remove(body.id >= body.next_id - 5)
+    checkpoint.save(directory / "a.h5", sim)
+    again = cantilever()
+    checkpoint.restore(directory / "a.h5", again)
+    for points in (body, again.bodies[0]):
+        points.add(points.select(points.id == 3))
+    assert_same(state(again), state(sim))
+    assert len(np.unique(by_id(body)["id"])) == body.size_global
+
+
+def refuse(path, sim, match, kind=CheckpointError):
+    """It does not restore, says why on all ranks, and leaves the simulation as it was."""
+    before = state(sim)
+    with pytest.raises(kind, match=match):
+        checkpoint.restore(path, sim)
+    assert_same(state(sim), before)
+
+
+@pytest.mark.mpi
+def test_other_simulations_are_refused(directory):
+    path = directory / "a.h5"
+    sim = advance(cantilever(), 1)
+    checkpoint.save(path, sim)
+    refuse(path, cantilever(size=2.1), r"its mesh is 72 cells \(triangle\), 49 nodes, checksum")
+    refuse(path, cantilever(cell=mesh.CellType.quadrilateral), r"here it is 36 cells \(quad")
+    refuse(path, cantilever(fm.BDF2), "its scheme is Bossak, here it is BDF2")
+
+    more = cantilever()
+    more.bodies[0].add_field("damage")
+    refuse(path, more, "point set 0 lacks fields that are here: damage.*with the script")
+    checkpoint.save(directory / "more.h5", more)
+    refuse(directory / "more.h5", cantilever(), "point set 0 has fields that are missing here: dam")
+    other = cantilever()
+    other.bodies[0].add_field("damage", (2,))
+    refuse(directory / "more.h5", other, r"'damage' of shape \(\), here it is \(2,\)")
+
+    more = cantilever()
+    more.carried.append(MaterialPoints(more.bodies[0].mesh, np.empty((0, 2)), 1.0))
+    refuse(path, more, "it has 2 point sets, here are 3")
+
+
+@pytest.mark.mpi
+def test_other_formats_are_refused(directory):
+    path = directory / "a.h5"
+    sim = cantilever()
+    checkpoint.save(path, sim)
+    if comm.rank == 0:
+        with h5py.File(path, "r+") as file:
+            assert file.attrs["fenicsmpm"] == fenicsmpm.__version__
+            file.attrs["format"] = 99
+            file.attrs["fenicsmpm"] = "7.0"
+    comm.barrier()
+    refuse(path, sim, r"format 99 \(fenicsmpm 7.0\).*reads format 1: restore it with the version")
+
+
+@pytest.mark.mpi
+def test_damaged_files_are_refused(directory):
+    path = directory / "a.h5"
+    sim = cantilever()
+    checkpoint.save(path, sim)
+    if comm.rank == 0:
+        whole = path.read_bytes()
+        for name, cut in (("empty", 0), ("head", 50), ("half", len(whole) // 2), ("last", -1)):
+            (directory / f"{name}.h5").write_bytes(whole[:cut])
+        (directory / "text.h5").write_text("t [s],u [m]\n" * 1000)
+        with h5py.File(directory / "hdf5.h5", "w") as file:
+            file["x"] = np.ones(3)
+        for name, change in (
+            ("rows", lambda f: f["points/1"].attrs.update(counts=[1])),
+            ("names", lambda f: f.attrs.__delitem__("layout")),
+            ("sets", lambda f: f.__delitem__("points")),
+        ):
+            (directory / f"{name}.h5").write_bytes(whole)
+            with h5py.File(directory / f"{name}.h5", "r+") as file:
+                change(file)
+    comm.barrier()
+    for name in ("empty", "head", "half", "last", "text", "names", "sets"):
+        refuse(directory / f"{name}.h5", sim, f"{name}.h5 is no checkpoint or is incomplete")
+    refuse(directory / "hdf5.h5", sim, "no checkpoint of fenicsmpm")
+    refuse(directory / "rows.h5", sim, "is damaged: 8 values of 'cell' for 1 points")
+    refuse(directory / "none.h5", sim, "none.h5", FileNotFoundError)
+
+
+def test_a_file_too_large_leaves_the_older_one(directory):
+    """The system's own error, in the middle of the file: as for a full disk, errno apart."""
+    path = directory / "a.h5"
+    sim = cantilever()
+    checkpoint.save(path, sim)
+    before = path.read_bytes()
+    advance(sim, 1)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
+        with pytest.raises(OSError, match=r"t = 0.02 s could not be written.*a\.h5") as caught:
+            checkpoint.save(path, sim)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert caught.value.errno == errno.EFBIG
+    assert [file.name for file in directory.iterdir()] == ["a.h5"]
+    assert path.read_bytes() == before
+
+
+@pytest.mark.mpi
+def test_a_full_disk_leaves_the_older_one(directory, monkeypatch):
+    path = directory / "a.h5"
+    sim = cantilever()
+    checkpoint.save(path, sim)
+    saved = state(sim)
+    advance(sim, 1)
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left on device; make room") as caught:
+            checkpoint.save(path, sim)
+    assert caught.value.errno == errno.ENOSPC
+    assert [file.name for file in directory.iterdir()] == ["a.h5"]
+    again = cantilever()
+    checkpoint.restore(path, again)
+    assert_same(state(again), saved)
+
+
+KILLED = """
+import resource, signal, sys
+sys.path.insert(0, sys.argv[1])
+from test_checkpoint import advance, cantilever, checkpoint
+sim = advance(cantilever(), 1)
+checkpoint.save(sys.argv[2], sim)
+advance(sim, 1)
+signal.signal(signal.SIGXFSZ, signal.SIG_DFL)  # the system kills who writes more than that
+resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+checkpoint.save(sys.argv[2], sim)
+"""
+
+
+def test_a_run_killed_while_writing_leaves_the_older_one(directory):
+    path = directory / "a.h5"
+    command = [sys.executable, "-c", KILLED, os.path.dirname(__file__), str(path)]
+    assert subprocess.run(command).returncode == -signal.SIGXFSZ
+    unfinished = directory / "a.h5.tmp"
+    assert unfinished.stat().st_size == 10_000
+    sim = cantilever()
+    checkpoint.restore(path, sim)
+    assert sim.number == 1
+    checkpoint.save(path, advance(sim, 1))
+    assert not unfinished.exists()
+    again = cantilever()
+    checkpoint.restore(path, again)
+    assert_same(state(again), state(sim))
+
+
+@pytest.mark.mpi
+def test_directories_that_cannot_be_made(directory):
+    (directory / "file").touch()
+    comm.barrier()
+    with pytest.raises(OSError, match="could not be written"):
+        checkpoint.save(directory / "file" / "a.h5", cantilever())
