@@ -66,6 +66,8 @@ class ImplicitMPM:
         updates: for each body, more fields to be updated at the end of a step, UFL over its points.
         data: called with the times at the beginning of a step and at which its equations hold, to
             set loads and boundary values that depend on time.
+        taylor: continue velocities linearly from points to nodes when they are mapped, see
+            ``mapping.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         adapt: called with each body at the end of a step, to change its quadrature weights.
         newton: options of ``NewtonSolver``.
@@ -88,6 +90,7 @@ class ImplicitMPM:
         bcs: Sequence[fem.DirichletBC] = (),
         updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
         data: Callable[[float, float], None] | None = None,
+        taylor: bool = False,
         on_exit: str = "error",
         adapt: Callable[[MaterialPoints], None] | None = None,
         newton: Mapping[str, Any] | None = None,
@@ -97,6 +100,7 @@ class ImplicitMPM:
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
         self.data, self.on_exit, self.adapt = data, on_exit, adapt
+        self._slopes = scheme.smooth_values() if taylor else {}
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
         self.next_dt = self._dt = float(scheme.dt.value)
@@ -112,6 +116,9 @@ class ImplicitMPM:
             for name in scheme.histories:
                 if name not in body:
                     body.add_field(name, shapes["u"])
+            for name in self._slopes:
+                if f"grad_{name}" not in body:
+                    body.add_field(f"grad_{name}", 2 * shapes["u"])
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", shapes["u"])
@@ -125,7 +132,8 @@ class ImplicitMPM:
     def map_to_grid(self) -> None:
         """P2G: histories of the scheme, pressure and projections, by lumped mass."""
         for name, function in self.scheme.histories.items():
-            project(self.bodies, name, function)
+            slope = f"grad_{name}" if name in self._slopes else None
+            project(self.bodies, name, function, gradient=slope)
         for name, function in zip(_PARTS[1:], self._nodal, strict=False):
             project(self.bodies, name, function)
 
@@ -261,7 +269,8 @@ class ImplicitMPM:
             self.solve()
             for body in self.bodies:
                 new = self._updates[body].evaluate()
-                body["a"], body["p"] = new["a"], new["p"]
+                for name in {"a", "p"} & new.keys():
+                    body[name] = new[name]
         finally:
             scheme.start_up(False)
 
@@ -272,8 +281,11 @@ class ImplicitMPM:
         fields = {"u": points.field("u") + increment}
         if points in self.bodies:
             others = zip(_PARTS[1:], parts(self.U)[1:], strict=False)
-            fields |= {"F": Kinematics(increment, points).F, **dict(others)}
+            k = Kinematics(increment, points)
+            fields |= {"F": k.F, **dict(others)}
             fields |= self.scheme.updates(points)
+            slopes = self._slopes.items()
+            fields |= {f"grad_{name}": k.grad(value) for name, value in slopes}
         return fields | dict(updates.get(points, {}))
 
     def __repr__(self) -> str:

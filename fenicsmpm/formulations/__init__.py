@@ -2,6 +2,13 @@
 """Formulations: functions that return UFL forms to be printed, changed and recombined."""
 
 from fenicsmpm.formulations.bdf2 import BDF2
+from fenicsmpm.formulations.boundary import (
+    dead_load,
+    follower_pressure,
+    normal_update,
+    penalty_dirichlet,
+    set_normals,
+)
 from fenicsmpm.formulations.ghost_penalty import ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.kinematics import Kinematics, embed
@@ -28,17 +35,22 @@ __all__ = [
     "Newmark",
     "TimeScheme",
     "asgs",
+    "dead_load",
     "density",
     "element_size",
     "embed",
+    "follower_pressure",
     "ghost_penalty",
     "mixed",
     "mixed_space",
+    "normal_update",
     "osgs",
     "parts",
+    "penalty_dirichlet",
     "ppp",
     "residuals",
     "set_initial_state",
+    "set_normals",
     "stabilized",
     "tau",
     "volumetric_residual",

@@ -65,9 +65,9 @@ class BDF2(TimeScheme):
     def memory(self, values: dict[str, float]) -> None:
         self._previous_dt = values.get("previous_dt")
 
-    def velocity(self) -> Any:
-        """Grid velocity at the end of the step [m/s]."""
-        return self._velocity
+    def smooth_values(self) -> dict[str, Any]:
+        """Mean velocity and increment of displacement of the step, see ``TimeScheme``."""
+        return super().smooth_values() | {"du": self.increment}
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
         """New values of the points' fields, as UFL over the points."""
@@ -79,10 +79,6 @@ class BDF2(TimeScheme):
             "du": self.increment,
             "dv": velocity - points.field("v"),
         }
-
-    def predictor(self) -> Any:
-        """First guess of the unknown u [m], from constant velocity."""
-        return self.dt * self.histories["v"]
 
     def __repr__(self) -> str:
         """Name and parameters."""

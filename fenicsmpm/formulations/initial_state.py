@@ -19,7 +19,7 @@ def set_initial_state(
     """Give undeformed points the fields of a body in motion.
 
     These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
-    determinant [-], "u" displacement [m], "v" velocity [m/s], "a" acceleration [m/s^2] and "p"
+    determinant [-], "u" displacement [m], "v" velocity [m/s] and "grad_v" its gradient [1/s], "a" acceleration [m/s^2] and "p"
     mean stress [Pa].
 
     Args:
@@ -39,6 +39,22 @@ def set_initial_state(
     points.add_field("F", (3, 3), np.eye(3))
     points.add_field("J", (), 1.0)
     points.add_field("u", (dim,))
-    points.add_field("v", (dim,), 0.0 if velocity is None else velocity(points.x))
+    points.add_field("v", (dim,))
+    points.add_field("grad_v", (dim, dim))
+    if velocity is not None:
+        points["v"] = velocity(points.x)
+        points["grad_v"] = _gradient(velocity, points.x)
     points.add_field("a", (dim,))
     points.add_field("p")
+
+
+def _gradient(
+    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike], x: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """``(n, d, d)`` gradient of a function of positions, by central differences."""
+    step = 1e-5 * max(float(np.ptp(x)) if x.size else 0.0, 1e-300)
+    differences = [
+        np.asarray(velocity(x + e)) - np.asarray(velocity(x - e))
+        for e in step * np.eye(x.shape[1])
+    ]
+    return np.stack(differences, axis=-1) / (2 * step)

@@ -75,10 +75,6 @@ class Newmark(TimeScheme):
         """Share of the step at whose end the equations hold, 1 - alpha_f; u is that share."""
         return float(self._share.value)
 
-    def velocity(self) -> Any:
-        """Grid velocity at the end of the step [m/s]."""
-        return self.histories["v"] + self._velocity_change(self.histories["a"])
-
     def _velocity_change(self, a: Any) -> Any:
         return self.dt * ((1 - self._gamma) * a + self._gamma * self._new_acceleration)
 
@@ -89,13 +85,9 @@ class Newmark(TimeScheme):
             points: the body.
         """
         flip = points.field("v") + self._velocity_change(points.field("a"))
-        velocity = self.flip * flip + (1 - self.flip) * self.velocity()
+        pic = self.histories["v"] + self._velocity_change(self.histories["a"])
+        velocity = self.flip * flip + (1 - self.flip) * pic
         return {"v": velocity, "a": self._new_acceleration}
-
-    def predictor(self) -> Any:
-        """First guess of the unknown u [m], from constant acceleration."""
-        v, a = self.histories["v"], self.histories["a"]
-        return self._share * (self.dt * v + self.dt**2 / 2 * a)
 
     def start_up(self, on: bool) -> None:
         """Switch to a step that does not use the acceleration before it, or back.

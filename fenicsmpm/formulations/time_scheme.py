@@ -71,6 +71,14 @@ class TimeScheme(ABC):
         mass = FilledFraction(points, "mass")
         return mass * ufl.inner(self.acceleration, parts(V)[0]) * mass.vertex_dx
 
+    def smooth_values(self) -> dict[str, Any]:
+        """What the histories are like on the grid after the step, if their gradients are smooth.
+
+        For the velocity it is the mean one of the step: the velocity at its end alternates at
+        nodes of little mass. Accelerations are rough.
+        """
+        return {"v": self.increment / self.dt}
+
     @abstractmethod
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
         """New values of the points' fields at the end of a step, as UFL over the points.

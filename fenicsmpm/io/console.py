@@ -62,6 +62,28 @@ def progress(
         yield from bar
 
 
+def watch(steps: Iterable[Any], until: float, label: str, show: bool = True) -> Iterator[Any]:
+    """Go through time steps behind a progress bar with time, Newton iterations and time left.
+
+    Args:
+        steps: iterator of steps, such as ``sim.run(until)``.
+        until: end [s].
+        label: text before the bar.
+        show: False for no bar at all.
+    """
+    visible = show and MPI.COMM_WORLD.rank == 0 and sys.stderr.isatty()
+    layout = (
+        "{desc}: {percentage:3.0f}% |{bar}| {n:.4g}/{total:.4g} s [{elapsed}<{remaining}{postfix}]"
+    )
+    with tqdm(desc=label, total=until, disable=not visible, leave=False, bar_format=layout) as bar:
+        for step in steps:
+            bar.set_postfix_str(
+                f"step {step.number}, {step.newton.iterations} Newton iterations", refresh=False
+            )
+            bar.update(step.time - bar.n)
+            yield step
+
+
 class Table:
     """A table that is printed row by row, on rank 0, with aligned columns.
 

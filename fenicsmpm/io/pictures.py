@@ -22,6 +22,8 @@ from fenicsmpm.points.agreement import raise_together
 if TYPE_CHECKING:  # it takes a second to import: only where it is needed
     import pyvista
 
+Bounds = tuple[Sequence[float], Sequence[float]]
+
 _COLOURS = "viridis"
 _PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
 _INCHES = 3.75  # the same on paper
@@ -90,6 +92,7 @@ def picture(
     label: str,
     *,
     limits: tuple[float, float] | None = None,
+    bounds: Bounds | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> None:
     """Draw panels beside one another with one colour bar and write them to a file (collective).
@@ -102,6 +105,8 @@ def picture(
         panels: what to draw.
         label: text beside the colour bar, with the unit.
         limits: values of the first and the last colour; None for the range of all panels.
+        bounds: lower and upper corner of the box to show [m], the same for all pictures of an
+            animation; None for that of the data.
         comm: communicator of the mesh.
 
     Raises:
@@ -112,14 +117,18 @@ def picture(
     if panels[0].data is not None:
         try:
             with _display():
-                _draw(Path(path), panels, label, limits or colour_range(panels))
+                _draw(Path(path), panels, label, limits or colour_range(panels), bounds)
         except (OSError, RuntimeError, ValueError) as failure:
             error = failure
     raise_together(comm, error)
 
 
 def _draw(
-    path: Path, panels: Sequence[Panel], label: str, limits: tuple[float, float] | None
+    path: Path,
+    panels: Sequence[Panel],
+    label: str,
+    limits: tuple[float, float] | None,
+    bounds: Bounds | None,
 ) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -132,8 +141,12 @@ def _draw(
     margin = 0.02 * float((upper - lower).max())
     plane = bool(lower[2] == upper[2])
     lower, upper = lower - margin, upper + margin
+    if bounds is not None:
+        lower, upper = (np.resize([*corner, 0.0], 3) for corner in bounds)
     images = [
-        (_image_of_plane if plane else _image_of_space)(shape, panel.values(), limits, lower, upper)
+        _image_of_plane(shape, panel.values(), limits, lower, upper)
+        if plane
+        else _image_of_space(shape, panel.values(), limits, lower, upper, bounds is None)
         for shape, panel in zip(shapes, panels, strict=True)
     ]
     extent = (lower[0], upper[0], lower[1], upper[1]) if plane else None
@@ -214,8 +227,9 @@ def _image_of_space(
     limits: tuple[float, float],
     lower: npt.NDArray[np.float64],
     upper: npt.NDArray[np.float64],
+    crop: bool,
 ) -> npt.NDArray[np.uint8]:
-    """Image of the box from lower to upper, seen obliquely, without its white margins."""
+    """Image of the box from lower to upper, seen obliquely, without white margins if cropped."""
     across = float(np.linalg.norm(upper - lower))
     scale = _PIXELS / across
     window = [_PIXELS, _PIXELS]
@@ -228,6 +242,8 @@ def _image_of_space(
         plotter.camera.parallel_scale = across / 2
         plotter.reset_camera_clipping_range()
         image = np.asarray(plotter.screenshot(return_img=True))
+    if not crop:
+        return image
     drawn = np.argwhere((image < 255).any(axis=2))
     (top, left), (bottom, right) = drawn.min(axis=0), drawn.max(axis=0)
     return image[top : bottom + 1, left : right + 1]

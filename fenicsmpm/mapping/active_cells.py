@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,24 +18,30 @@ from fenicsmpm.points import MaterialPoints
 class ActiveCells:
     """The part of the background mesh that holds points, followed as they move.
 
-    A cell is active if it holds a point of one of the sets. An active cell is cut if one of its
-    facets leads to a cell that is not. Its measures are for UFL forms; forms that use them are
+    A cell is active if it holds a point. Where there are loads but nothing of a body, all cells
+    around are active too, so that there is a way to the body over facets. An active cell is cut if
+    it holds nothing of a body, or if one of its facets leads to a cell that is not active. The
+    measures are for UFL forms, which are
     assembled over the cells and facets of the moment.
 
     Args:
-        points: point sets on one mesh: the body, and boundary points that carry loads.
+        bodies: point sets on one mesh.
+        loads: further sets on it, such as boundary points that carry loads.
 
     Attributes:
+        points: all these sets.
         mesh: the background mesh.
         dx: measure of integrals over the active cells.
         dS: measure of integrals over the facets between two active cells of which one is cut.
     """
 
-    def __init__(self, *points: MaterialPoints) -> None:
+    def __init__(self, *bodies: MaterialPoints, loads: Sequence[MaterialPoints] = ()) -> None:
         """Prepare the topology; cells are found when they are asked for."""
-        if not points or any(p.mesh is not points[0].mesh for p in points):
+        points = (*bodies, *loads)
+        if not bodies or any(p.mesh is not points[0].mesh for p in points):
             raise ValueError("active cells need one or more point sets on the same mesh")
         self.points = points
+        self._bodies, self._loads = bodies, tuple(loads)
         self.mesh = points[0].mesh
         topology = self.mesh.topology
         dim = topology.dim
@@ -96,8 +103,13 @@ class ActiveCells:
         owned = cell_map.size_local
         active = la.vector(cell_map)
         active.array[:] = 0.0
-        for points in self.points:
+        for points in self._bodies:
             active.array[points.cell] = 1.0
+        filled = active.array.copy()
+        if self._loads:
+            loaded = np.unique(np.concatenate([points.cell for points in self._loads]))
+            apart = loaded[active.array[loaded] == 0]
+            active.array[self._around(apart)] = 1.0
         active.scatter_forward()
         # facets of the mesh's own boundary have one cell, repeated: nothing is missing there
         first, second = active.array[self._facet_cells].T > 0
@@ -105,6 +117,7 @@ class ActiveCells:
         cut = la.vector(cell_map)
         cut.array[:] = 0.0
         cut.array[between.ravel()] = 1.0
+        cut.array[filled == 0] = 1.0  # if active at all, as a way of loads to the body
         # a rank sees all facets of its own cells, so owned values are complete
         cut.scatter_forward()
         is_cut = (cut.array > 0) & (active.array > 0)
@@ -115,6 +128,17 @@ class ActiveCells:
         self._facets = selected[selected < n_owned].astype(np.int32)
         self._cells = np.flatnonzero(active.array[:owned]).astype(np.int32)
         self._cut_cells = np.flatnonzero(is_cut[:owned]).astype(np.int32)
+
+
+    def _around(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+        """Mask of the local cells that share a node with owned ones of any rank (collective)."""
+        nodes = la.vector(self.mesh.geometry.index_map())
+        nodes.array[:] = 0.0
+        dofmap = _compat.geometry_dofmap(self.mesh)
+        nodes.array[dofmap[cells]] = 1.0
+        nodes.scatter_reverse(la.InsertMode.add)
+        nodes.scatter_forward()
+        return (nodes.array[dofmap] > 0).any(axis=1)
 
 
 def _two_cells(topology: Any) -> npt.NDArray[np.int32]:

@@ -45,17 +45,22 @@ def project(
     point_sets: Sequence[MaterialPoints],
     name: str,
     function: fem.Function,
+    *,
+    gradient: str | None = None,
     mass: str = "mass",
 ) -> None:
     """Mass-weighted lumped projection of a field to the grid (VMS, algorithm 1, line 7).
 
     ``f_I = sum_p N_I(x_p) m_p f_p / m_I`` with ``m_I = sum_p N_I(x_p) m_p``; zero at nodes
-    without mass. Collective.
+    without mass. With the field's gradient, f_p is first continued to the node,
+    ``f_p + G_p (x_I - x_p)``: linear fields are then exact at nodes with points on one side only,
+    too (Nakamura, Matsumura, Mizutani, CMAME 410, 2023). Collective.
 
     Args:
         point_sets: bodies that have the field.
         name: of the field.
         function: of a Lagrange space, scalar or blocked like the field's values.
+        gradient: name of a field of gradients ``(*value_shape, d)`` [1/m], or None.
         mass: name of the field of masses, or "weight" for volumes.
     """
     space = function.function_space
@@ -64,9 +69,20 @@ def project(
     for points in point_sets:
         weights = points[mass].reshape(len(points), 1)
         values = points[name].reshape(len(points), -1)
+        if gradient is not None:
+            slopes = points[gradient].reshape(*values.shape, -1)
+            values = values - np.einsum("pck,pk->pc", slopes, points.x)
+            for k, x in enumerate(_nodes(space)):
+                total += x * p2g(points, weights * slopes[..., k], space).array
         total += p2g(points, weights * values, space).array
         nodal += p2g(points, np.broadcast_to(weights, values.shape), space).array
     function.x.array[:] = np.divide(total, nodal, out=np.zeros_like(total), where=nodal > 0)
+
+
+def _nodes(space: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """``(d, n_dofs)`` coordinates of the unrolled local dofs [m]."""
+    x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
+    return np.repeat(x, space.dofmap.index_map_bs, axis=0).T
 
 
 def _scalar_element(space: fem.FunctionSpace) -> Any:

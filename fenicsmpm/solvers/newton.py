@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -19,6 +19,9 @@ from dolfinx import fem
 from fenicsmpm import _compat, forms
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 from fenicsmpm.solvers.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from fenicsmpm.mapping import Tying
 
 logger = logging.getLogger(__name__)
 
@@ -67,6 +70,7 @@ class NewtonSolver:
         atol: absolute tolerance of the residual.
         max_iterations: linear systems to solve at most.
         line_search: halve a step while the residual is not finite or does not decrease.
+        tying: takes nodes of little mass out of the system; residuals are then those of the rest.
         petsc_options: options of the linear solver, see ``LinearSolver``.
         jit_options: see ``forms.form``.
         form_compiler_options: see ``forms.form``.
@@ -89,6 +93,7 @@ class NewtonSolver:
         atol: float = 1e-12,
         max_iterations: int = 25,
         line_search: bool = False,
+        tying: Tying | None = None,
         petsc_options: dict[str, Any] | None = None,
         jit_options: dict[str, Any] | None = None,
         form_compiler_options: dict[str, Any] | None = None,
@@ -105,6 +110,7 @@ class NewtonSolver:
         self.rtol, self.atol = rtol, atol
         self.max_iterations = max_iterations
         self.line_search = line_search
+        self.tying = tying
         self.linear = LinearSolver(self.J.mesh.comm, petsc_options)
         self._parts = _parts(U.function_space)
         self._A: PETSc.Mat | None = None
@@ -128,6 +134,8 @@ class NewtonSolver:
             self._prepare_matrix()
         start = self.U.x.array.copy()
         try:
+            if self.tying is not None:
+                self._tie()
             self._iterate(result)
         except BaseException:
             self.U.x.array[:] = start
@@ -142,6 +150,16 @@ class NewtonSolver:
             if self._A is not None:
                 self._A.destroy()
             self._A = forms.petsc.create_matrix(self.J, compact=True)
+
+    def _tie(self) -> None:
+        """Find the nodes to be tied, and start from a function that obeys."""
+        assert self.tying is not None
+        self.tying.update(self.bcs, forms.inactive_dofs(self.J))
+        owned = len(self._step.array_r)
+        self._step.array_w[:] = self.U.x.array[:owned]
+        self.tying.extend(self._step)
+        self.U.x.array[:owned] = self._step.array_r
+        self.U.x.scatter_forward()
 
     def _check_bcs(self) -> None:
         for bc in self.bcs:
@@ -173,15 +191,17 @@ class NewtonSolver:
                     result.residuals,
                 )
             with result.seconds("assembly"):
-                forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
+                A = self._tangent()
             if has_gap:
                 # the constrained values are still to be reached: the step moves all of U with them
                 with result.seconds("assembly"):
-                    norm = self._residual_norm(lifted=True)
+                    norm = self._lifted_norm()
                 reference = max(reference, norm)
             try:
                 with result.seconds("linear solver"):
-                    self.linear.solve(self._A, self._b, self._step)
+                    self.linear.solve(A, self._b, self._step)
+                    if self.tying is not None:
+                        self.tying.extend(self._step)
             except LinearSolverError as error:
                 raise NewtonError("linear solver", str(error), result.residuals) from error
             with result.seconds("assembly"):
@@ -222,6 +242,21 @@ class NewtonSolver:
             self._stagnates = self._is_negligible(step)
         return new, length
 
+    def _tangent(self) -> PETSc.Mat:
+        """Assemble the tangent; if nodes are tied, b is lifted by the way."""
+        if self.tying is None:
+            return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
+        return self.tying.reduce(forms.petsc.assemble_matrix(self.J, A=self._A), self._b)
+
+    def _lifted_norm(self) -> float:
+        """Norm of R less J (g - U), for a step that ends on the Dirichlet data."""
+        if self.tying is None:
+            return self._residual_norm(lifted=True)
+        free = self._b.copy()
+        for bc in self.bcs:
+            _compat.bc_set(bc, free.array_w, np.zeros(len(free.array_r)), 0.0)
+        return free.norm()
+
     def _residual_norm(self, lifted: bool = False) -> float:
         """Assemble R(U) into b; constrained entries become U - g, which the norm leaves out.
 
@@ -236,6 +271,8 @@ class NewtonSolver:
             with b.localForm() as local:
                 forms.apply_lifting(local.array_w, [self.J], [self.bcs], [x], -1.0)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        if self.tying is not None:
+            self.tying.restrict(b)
         owned = len(b.array_r)
         for bc in self.bcs:
             _compat.bc_set(bc, b.array_w, np.zeros(owned), 0.0)

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: MIT
+#
+# # Bending beam
+#
+# An incompressible column of rubber, 1 m x 1 m x 6 m, stands clamped on its base and is thrown to
+# the side: its initial velocity grows linearly with the height. It bends far over, swings back and
+# to the other side. The demo shows how
+#
+# - a body is seeded in an unstructured background mesh,
+# - initial velocities are given,
+# - a three-dimensional run writes a series for ParaView, and an animation.
+#
+# It is section 6.3 of Moreno, Wüchner and Larese, *A mixed stabilized MPM formulation for
+# incompressible hyperelastic materials using Variational Subgrid-Scales* (in short: VMS).
+# `twisting_column.py` is its section 6.4 and uses what is defined here.
+#
+# ## Formulation
+#
+# The same as in `cooks_membrane_dynamic.py`, in three dimensions and without load: in each step,
+#
+# $$
+# \int \rho\,a \cdot w + \sigma_\mathrm{dev} : \nabla w + p \, \nabla \cdot w \, \mathrm{d}v = 0,
+# \qquad \int (J - 1) \, q \, \mathrm{d}V = 0
+# $$
+#
+# with algebraic subgrid scales (ASGS) that stabilize equal orders of $u$ and $p$, and a ghost
+# penalty on the facets of cells that are only partly filled.
+#
+# ## Implementation
+
+import argparse
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from matplotlib.figure import Figure
+
+from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, io
+from fenicsmpm.mapping import ActiveCells
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import lattice
+from fenicsmpm.solvers import NewtonError
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "meshes"))
+from column import column  # the background meshes
+
+REFERENCES = Path(__file__).parent.parent / "benchmarks" / "references"
+YOUNG = 1.7e7  # Pa
+DENSITY = 1100.0  # kg/m^3
+TIP = (0.5, 0.5, 6.0)  # m
+
+
+@dataclass
+class Case:
+    name: str  # of the demo
+    velocity: object  # function of positions (n, 3) to velocities (n, 3)
+    lower: tuple  # corners of the background mesh, m
+    upper: tuple
+    reference: str  # file of the history by finite elements
+    stabilization: str = "asgs"
+    h: float = 0.25  # size of cells, m
+    per_cell: int = 12  # material points
+    dt: float = 0.001  # s
+    scheme: str = "Bossak"
+
+    def label(self):
+        return f"h = {self.h:.4g} m, {self.per_cell} points a cell"
+
+
+def beam(**options):
+    return Case(
+        "bending_beam",
+        lambda x: np.outer(x[:, 2], (5 / 3, 0, 0)),
+        (-4.5, -1.0, 0.0),
+        (4.5, 1.0, 7.0),
+        "bending_beam.csv",
+        **options,
+    )
+
+
+# Points lie on a cubic lattice, of a spacing such that there are as many in a cell as wanted on
+# average: the cells of an unstructured mesh differ in size, equal points do not.
+
+
+def build(case):
+    domain, tags = column(case.h, case.lower, case.upper)
+    owned = domain.topology.index_map(3).size_local
+    in_body = int(np.sum(tags.values[tags.indices < owned] == 1))
+    cells_of_body = domain.comm.allreduce(in_body)
+    a_side = round((cells_of_body * case.per_cell / 6) ** (1 / 3))
+
+    def inside(x):
+        return (np.abs(x[:, :2]).max(axis=1) < 0.5) & (x[:, 2] > 0) & (x[:, 2] < 6)
+
+    body = lattice(domain, 1 / a_side, inside=inside)
+    formulations.set_initial_state(body, DENSITY, case.velocity)
+    here = domain.comm.rank == 0
+    tip = MaterialPoints(domain, [TIP] if here else np.empty((0, 3)), weight=1.0)
+
+    law = NeoHookean(YOUNG, nu=0.5)
+    W = formulations.mixed_space(domain, projections=case.stabilization == "osgs")
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    scheme = getattr(formulations, case.scheme)(U, dt=case.dt)
+    inertia = scheme.force(body)
+    R = formulations.stabilized(case.stabilization, U, V, body, law, force=inertia)
+    R += formulations.ghost_penalty(U, V, ActiveCells(body, loads=[tip]), law)
+
+    base = mesh.locate_entities_boundary(domain, 2, lambda x: np.isclose(x[2], 0))
+    W_u, _ = W.sub(0).collapse()
+    clamped = fem.locate_dofs_topological((W.sub(0), W_u), 2, base)
+    bc = fem.dirichletbc(fem.Function(W_u), clamped, W.sub(0))
+    return ImplicitMPM(R, U, scheme, body, carried=[tip], bcs=[bc])
+
+
+# A run writes a file for ParaView every `interval`. Where it fails, it shows what it has.
+
+
+def run(case, until, output, movie=False, interval=0.02):
+    sim = build(case)
+    body, tip = sim.bodies[0], sim.carried[0]
+    io.say(f"{case.label()}: {body.size_global} material points of {body.volume:.4g} m^3")
+    history, frames = [(0.0, 0.0, 0.0, 0.0)], []
+    parameters = {"h [m]": case.h, "points a cell": case.per_cell, "E [Pa]": YOUNG, "nu": 0.5}
+    with io.Series(output / f"{case.name}.pvd", body, parameters) as series:
+        try:
+            for step in io.watch(sim.run(until), until, case.label()):
+                history.append((step.time, *io.probe(tip, "u")))
+                if step.time < (len(series.times) + 1) * interval - 1e-9:
+                    continue
+                series.write(step.time)
+                if movie:
+                    frames.append(output / "frames" / f"{len(frames):03d}.png")
+                    draw(frames[-1], case, body, f"t = {step.time:.3f} s")
+        except NewtonError as error:
+            io.say(f"  it ends at t = {sim.time:.4f} s: {error}")
+    if movie:
+        io.animate(output / f"{case.name}.gif", frames, comm=body.mesh.comm)
+    return sim, np.array(history)
+
+
+def draw(path, case, body, title):
+    cloud = io.gather_points(body)
+    if cloud is not None:
+        cloud["p"] = cloud["p"] / 1e6
+    limits = (-2.0, 2.0)
+    box = (case.lower, case.upper)
+    io.picture(path, [io.Panel(cloud, "p", title)], "mean stress p [MPa]", limits=limits, bounds=box)
+
+
+# ## Results
+#
+# The reference is by Taylor-Hood P2-P1 finite elements, total Lagrangian (`benchmarks/references`).
+
+
+def reference(case):
+    path = REFERENCES / case.reference
+    return np.loadtxt(path, delimiter=",") if path.exists() else None
+
+
+def compare(case, history):
+    """Largest deviation of each component so far, as a share of the reference's largest one."""
+    expected = reference(case)
+    rows = io.Table(
+        {"u": "s", "largest [m]": ".4f", "at t [s]": ".3f", "reference [m]": ".4f",
+         "at  t [s]": ".3f", "largest deviation": ".2%"}
+    )  # fmt: skip
+    until = min(history[-1, 0], expected[-1, 0])
+    expected = expected[expected[:, 0] <= until + 1e-9]
+    t = history[:, 0]
+    scale = np.abs(expected[:, 1:]).max()
+    deviations = {}
+    for i, name in enumerate(("u_x", "u_y", "u_z"), start=1):
+        here, there = np.argmax(np.abs(history[:, i])), np.argmax(np.abs(expected[:, i]))
+        difference = np.interp(t[t <= until], expected[:, 0], expected[:, i]) - history[t <= until, i]
+        deviations[name] = float(np.abs(difference).max() / scale)
+        rows.row(
+            name, history[here, i], t[here], expected[there, i], expected[there, 0],
+            deviations[name],
+        )  # fmt: skip
+    io.say(f"deviations until t = {until:.3g} s, as shares of the largest displacement")
+    return deviations
+
+
+def plot(path, case, histories):
+    if MPI.COMM_WORLD.rank != 0:
+        return
+    expected = reference(case)
+    until = max(history[-1, 0] for history in histories.values())
+    figure = Figure(figsize=(7, 8), layout="constrained")
+    for i, ax in enumerate(figure.subplots(3, 1, sharex=True), start=1):
+        if expected is not None:
+            shown = expected[expected[:, 0] <= until]
+            ax.plot(shown[:, 0], shown[:, i], "k--", lw=1, label="P2-P1 finite elements")
+        for label, history in histories.items():
+            ax.plot(history[:, 0], history[:, i], label=label)
+        ax.set_ylabel(f"u_{'xyz'[i - 1]} of the corner [m]")
+        ax.grid(alpha=0.3)
+    ax.set_xlabel("t [s]")
+    ax.legend()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=160)
+
+
+def show(cases, until, output, movie):
+    histories = {}
+    for case in cases:
+        sim, history = run(case, until, output, movie)
+        histories[case.label()] = history
+        compare(case, history)
+        draw(output / f"{case.name}.png", case, sim.bodies[0], f"t = {sim.time:.3f} s")
+        plot(output / f"{case.name}_tip.png", case, histories)
+    name = cases[0].name
+    io.say(f"{name}.pvd, {name}.png and {name}_tip.png are in {output}")
+    return histories
+
+
+# ## Command line
+
+TABLE = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # table 1 of VMS
+
+
+def main(arguments=None, make=beam, end=0.3, full_end=3.0, description="Bending beam"):
+    parser = argparse.ArgumentParser(description=f"{description}, incompressible")
+    add = parser.add_argument
+    add("--size", type=float, default=0.25, help="size of cells in m (default: %(default)s)")
+    add("--points", type=int, default=12, help="material points a cell (default: %(default)s)")
+    add("--dt", type=float, default=0.001, help="time step in s (default: %(default)s)")
+    add("--stabilization", choices=formulations.STABILIZATIONS, default="asgs")
+    add("--scheme", choices=("Bossak", "GeneralizedAlpha", "Newmark", "BDF2"), default="Bossak")
+    add("--until", type=float, help=f"end in s (default: {end:g})")
+    add("--full", nargs="*", type=int, choices=range(1, 6), metavar="CASE",
+        help=f"cases 1 to 5 of the paper's table 1, until {full_end:g} s (default: all)")  # fmt: skip
+    add("--short", action="store_true", help="a few steps on a coarse mesh, for a test")
+    add("--movie", action="store_true", help="write an animation, too")
+    add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
+    add("-v", "--verbose", action="store_true", help="print a line for each Newton iteration")
+    options = parser.parse_args(arguments)
+    if not (options.size > 0 and options.points >= 1 and options.dt > 0):
+        parser.error("size, number of points and time step must be positive")
+    io.show_log(logging.INFO if options.verbose else logging.WARNING)
+    common = {"stabilization": options.stabilization, "scheme": options.scheme}
+    if options.full is not None:
+        chosen = options.full or range(1, 6)
+        cases = [make(h=TABLE[i - 1][0], per_cell=TABLE[i - 1][1], **common) for i in chosen]
+        until = options.until or full_end
+    elif options.short:
+        cases = [make(h=0.5, per_cell=6, dt=0.005, **common)]
+        until = options.until or 0.02
+    else:
+        cases = [make(h=options.size, per_cell=options.points, dt=options.dt, **common)]
+        until = options.until or end
+    return show(cases, until, options.output, options.movie)
+
+
+if __name__ == "__main__":
+    main()

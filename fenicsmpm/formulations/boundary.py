@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: MIT
+"""Loads and constraints on boundary points, which move through the grid with the body.
+
+Boundary points have the areas (lengths in 2D) of the undeformed boundary as weights, and are
+given to the time loop as ``carried`` points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from fenicsmpm.formulations.kinematics import Kinematics
+from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.formulations.stabilization import element_size
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
+
+
+def dead_load(V: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
+    """Traction per initial area that keeps its direction, -(t, w).
+
+    Args:
+        V: test function of displacement and pressure.
+        points: boundary points with initial areas [m^(d-1)].
+        traction: force per initial area t [Pa], d components or a UFL vector.
+
+    Returns:
+        UFL form of rank 1, to be added to the residual.
+
+    Raises:
+        ValueError: for no points at all, or a traction of another shape.
+    """
+    _require_points(points, "a load")
+    return -ufl.inner(_vector(traction, points, "a traction"), parts(V)[0]) * points.dx
+
+
+def set_normals(
+    points: MaterialPoints,
+    normals: npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
+) -> None:
+    """Give boundary points the field "normal", which ``follower_pressure`` needs.
+
+    It is the outer unit normal times the ratio of present to initial area [-] (collective).
+
+    Args:
+        points: boundary points at the beginning, when that ratio is 1.
+        normals: outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order, or a function
+            of the positions ``(n_points, d)`` [m] to them.
+
+    Raises:
+        ValueError: for other shapes, lengths other than 1, or points that have normals already.
+    """
+    shape = (len(points), points.mesh.geometry.dim)
+    given = np.asarray(normals(points.x) if callable(normals) else normals, dtype=np.float64)
+    error: ValueError | None = None
+    if given.shape not in (shape, shape[1:]):
+        error = ValueError(
+            f"normals need the shape {shape} or {shape[1:]}, not {given.shape}: one row a point"
+        )
+    else:
+        length = np.linalg.norm(np.broadcast_to(given, shape), axis=1)
+        bad = np.flatnonzero(~(np.abs(length - 1) < 1e-6))
+        if len(bad):
+            error = ValueError(
+                f"{len(bad)} of {len(points)} normals have not the length 1, first {length[bad[0]]}"
+                f" at {points.x[bad[0]]}: divide them by their lengths"
+            )
+    raise_together(points.mesh.comm, error)
+    points.add_field("normal", shape[1:], given)
+
+
+def follower_pressure(U: Any, V: Any, points: MaterialPoints, pressure: Any) -> ufl.Form:
+    """Pressure on the surface as it moves, p (cof(f) n, w); a positive one pushes on the body.
+
+    The surface turns and stretches in the step by Nanson's formula, n da = cof(f) n_0 dA. Its
+    tangent is not symmetric. For steps one after the other give ``normal_update`` to the time loop.
+
+    Args:
+        U: increment of displacement [m] and pressure.
+        V: test function.
+        points: boundary points with initial areas [m^(d-1)] and the normals of ``set_normals``.
+        pressure: force per present area [Pa], a number or UFL scalar.
+
+    Returns:
+        UFL form of rank 1, to be added to the residual.
+
+    Raises:
+        ValueError: for no points at all, points without normals, or a pressure with components.
+    """
+    _require_points(points, "a load")
+    pressure = ufl.as_ufl(pressure)
+    if pressure.ufl_shape != ():
+        raise ValueError(f"a pressure is a scalar, but has the shape {pressure.ufl_shape}")
+    return pressure * ufl.inner(normal_update(parts(U)[0], points), parts(V)[0]) * points.dx
+
+
+def normal_update(increment: Any, points: MaterialPoints) -> Any:
+    """The field "normal" at the end of a step, cof(f) n, as UFL over the points.
+
+    To be used as ``ImplicitMPM(..., updates={points: {"normal": normal_update(scheme.increment,
+    points)}})``.
+
+    Args:
+        increment: displacement increment of the whole step [m], d components.
+        points: boundary points with the normals of ``set_normals``.
+
+    Raises:
+        ValueError: for points without normals, or an increment of another shape.
+    """
+    if "normal" not in points:
+        raise ValueError("boundary points without normals: call set_normals(points, normals) first")
+    dim = points.mesh.geometry.dim
+    if increment.ufl_shape != (dim,):
+        raise ValueError(
+            f"an increment of displacement has {dim} components, but this one the shape "
+            f"{increment.ufl_shape}: use scheme.increment or the first part of the unknown"
+        )
+    return ufl.dot(Kinematics(increment, points).cofactor(), points.field("normal"))
+
+
+def penalty_dirichlet(
+    U: Any,
+    V: Any,
+    points: MaterialPoints,
+    material: NeoHookean | float,
+    value: Any = None,
+    *,
+    factor: float = 30.0,
+) -> ufl.Form:
+    """Prescribed displacement of boundary points anywhere in the mesh, by a penalty.
+
+    factor E / h (u_n + u - g, w), with the points' displacement so far u_n and the prescribed one g
+    (B. Chandra et al., Acta Geotechnica 16, 2021: [70] of VMS). Under a traction t the points give
+    way by t h / (factor E): the error is of first order in h.
+
+    Args:
+        U: increment of displacement [m] and pressure.
+        V: test function.
+        points: boundary points with initial areas [m^(d-1)]; their field "u" [m] is u_n, and is
+            added as zero if there is none.
+        material: law of the body, or a modulus E [Pa].
+        value: prescribed displacement g from the initial position [m], d components or a UFL vector
+            at the time at which the equations hold; None for zero.
+        factor: of the penalty [-]; far more than the default makes the cells along the boundary
+            too stiff, as they cannot bend and obey all points.
+
+    Returns:
+        UFL form of rank 1, to be added to the residual.
+
+    Raises:
+        ValueError: for no points at all, a modulus or factor that is not positive and finite, or a
+            displacement of another shape.
+    """
+    _require_points(points, "a Dirichlet condition")
+    modulus = material.E if isinstance(material, NeoHookean) else material
+    for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
+        if not 0 < number < np.inf:
+            raise ValueError(f"the {what} must be positive and finite: {number}")
+    dim = points.mesh.geometry.dim
+    if "u" not in points:
+        points.add_field("u", (dim,))
+    gap = points.field("u") + parts(U)[0]
+    if value is not None:
+        gap -= _vector(value, points, "a displacement")
+    return factor * modulus / element_size(points) * ufl.inner(gap, parts(V)[0]) * points.dx
+
+
+def _require_points(points: MaterialPoints, what: str) -> None:
+    if points.size_global == 0:
+        raise ValueError(f"{what} on no points: check where these boundary points were seeded")
+
+
+def _vector(value: Any, points: MaterialPoints, what: str) -> Any:
+    """UFL vector with as many components as the mesh has dimensions."""
+    vector = ufl.as_vector(list(value)) if isinstance(value, Sequence | np.ndarray) else value
+    vector, dim = ufl.as_ufl(vector), points.mesh.geometry.dim
+    if vector.ufl_shape != (dim,):
+        raise ValueError(f"{what} needs {dim} components, but has the shape {vector.ufl_shape}")
+    return vector

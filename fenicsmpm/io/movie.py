@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""Animations from pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from fenicsmpm.points.agreement import raise_together
+
+
+def animate(
+    path: str | Path,
+    frames: Sequence[str | Path],
+    *,
+    seconds: float = 0.1,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> None:
+    """Put pictures together to an animation that runs for ever (collective, rank 0 works).
+
+    Args:
+        path: file to write, ``.gif``.
+        frames: pictures of the same size, in order.
+        seconds: for which each is shown.
+        comm: communicator of the mesh.
+
+    Raises:
+        ValueError: on all ranks, without any frames, or for a file that is not ``.gif``.
+        OSError: on all ranks, for frames that cannot be read or a file that cannot be written.
+    """
+    error: Exception | None = None
+    if comm.rank == 0:
+        try:
+            _write(Path(path), frames, seconds)
+        except (OSError, ValueError) as failure:
+            error = failure
+    raise_together(comm, error)
+
+
+def _write(path: Path, frames: Sequence[str | Path], seconds: float) -> None:
+    from PIL import Image
+
+    if not frames or path.suffix != ".gif":
+        raise ValueError(f"{len(frames)} frames for {path}: a .gif needs at least one")
+    images = [Image.open(frame).convert("P", palette=Image.Palette.ADAPTIVE) for frame in frames]
+    size = images[0].size
+    if any(image.size != size for image in images):
+        raise ValueError("the frames differ in size: give all pictures the same bounds")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    images[0].save(
+        path,
+        save_all=True,
+        append_images=images[1:],
+        duration=round(1000 * seconds),
+        loop=0,
+    )

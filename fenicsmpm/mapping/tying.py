@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: MIT
+"""Nodes of little mass tied to filled cells, the alternative to the ghost penalty.
+
+Aggregated unfitted finite elements (S. Badia, F. Verdugo, A. F. Martin, Comput. Methods Appl.
+Mech. Engrg. 336, 2018): functions that are extrapolated linearly from filled cells to the nodes
+at the rim of the body. The system A x = b becomes T^T A T y = T^T b with x = T y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from fenicsmpm import _compat
+from fenicsmpm.mapping.active_cells import ActiveCells
+from fenicsmpm.mapping.weight_correction import filled_fractions, nodes_of
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.geometry import cell_geometry
+
+
+class Tying:
+    """Linear extrapolation to the ill nodes of a linear space, all components alike.
+
+    A node of active cells is ill if none of its cells is well filled. Its values are those of the
+    linear function of one well-filled cell, the one with the nearest centroid; never of a chain.
+
+    Args:
+        space: linear Lagrange space, scalar, blocked or mixed.
+        body: material points with volumes as weights [m^d].
+        cells: active cells of the body and of boundary points.
+        threshold: volume of points per volume of the cell [-] from which it is well filled.
+
+    Attributes:
+        matrix: T, rows of the identity but for the tied degrees of freedom (after ``update``).
+
+    Raises:
+        ValueError: for spaces that are not linear, a body that is not in the active cells, a
+            threshold that is not positive.
+    """
+
+    def __init__(
+        self,
+        space: fem.FunctionSpace,
+        body: MaterialPoints,
+        cells: ActiveCells,
+        threshold: float = 0.5,
+    ) -> None:
+        """Find the degrees of freedom of each node, and the first T (collective)."""
+        if body not in cells.points or space.mesh is not cells.mesh:
+            raise ValueError("tying needs active cells of the body, ActiveCells(body, ..)")
+        if not 0 < threshold < np.inf:
+            raise ValueError(f"cells are well filled from a positive fraction on, not {threshold}")
+        self.space, self.body, self.cells, self.threshold = space, body, cells, threshold
+        dofmap = space.dofmap
+        bs, blocks = dofmap.index_map_bs, dofmap.index_map
+        local = np.arange(blocks.size_local + blocks.num_ghosts, dtype=np.int32)
+        self._global = (blocks.local_to_global(local)[:, None] * bs + np.arange(bs)).ravel()
+        self._sizes = (blocks.size_local * bs, blocks.size_global * bs)
+        nodes = _compat.geometry_dofmap(space.mesh)
+        components = _components(space)
+        if any(dofs.shape != nodes.shape for dofs in components):
+            raise ValueError(f"tying is for linear functions, not for {space.ufl_element()}")
+        # (n_cells, n_vertices, n_components) and (n_nodes, n_components) local dofs
+        self._cell_dofs = np.stack(components, axis=2)
+        self._node_dofs = np.empty((len(space.mesh.geometry.x), len(components)), dtype=np.int32)
+        self._node_dofs[nodes] = self._cell_dofs
+        self.update()
+
+    def update(self, bcs: Sequence[fem.DirichletBC] = (), inactive: npt.ArrayLike = ()) -> None:
+        """Make T anew for the points as they are now (collective).
+
+        Args:
+            bcs: Dirichlet conditions; what they constrain is not tied.
+            inactive: owned local degrees of freedom at which matrices have rows of the identity
+                only to be regular, such as those of cells with boundary points only.
+
+        Raises:
+            ValueError: on all ranks, if there are ill nodes but no well-filled cell.
+        """
+        owned = self._sizes[0]
+        fixed = np.unique(np.concatenate([np.empty(0, np.int32), *map(_compat.bc_dofs, bcs)]))
+        self._fixed = self._global[fixed[fixed < owned]].astype(PETSc.IntType)
+        dofs, columns, weights = self._extrapolation(fixed)
+        entries = np.ones(owned, dtype=PETSc.IntType)
+        entries[dofs] = weights.shape[1]
+        indptr = np.concatenate([[0], np.cumsum(entries)]).astype(PETSc.IntType)
+        indices = np.repeat(self._global[:owned], entries).astype(PETSc.IntType)
+        values = np.ones(len(indices))
+        where = indptr[dofs][:, None] + np.arange(weights.shape[1])
+        indices[where], values[where] = columns, weights
+        tied = np.zeros(owned)
+        tied[dofs] = 1.0
+        self.matrix = self._create((indptr, indices, values))
+        self._real_rows = self.matrix.createVecLeft()
+        self._real_rows.array_w[:] = 1.0
+        self._real_rows.array_w[np.intersect1d(dofs, np.asarray(inactive, dtype=np.int32))] = 0.0
+        diagonal = np.arange(owned + 1, dtype=PETSc.IntType)
+        self._tied = self._create((diagonal, self._global[:owned].astype(PETSc.IntType), tied))
+
+    def extend(self, x: PETSc.Vec) -> None:
+        """Overwrite the tied entries of a vector by extrapolation, x = T x (collective)."""
+        result = x.duplicate()
+        self.matrix.mult(x, result)
+        x.array_w[:] = result.array_r
+
+    def restrict(self, b: PETSc.Vec) -> None:
+        """Move the tied entries of a residual to the filled cells, b = T^T b (collective)."""
+        result = b.duplicate()
+        self.matrix.multTranspose(b, result)
+        b.array_w[:] = result.array_r
+
+    def reduce(self, A: PETSc.Mat, b: PETSc.Vec) -> PETSc.Mat:
+        """Matrix T^T A T of the free unknowns; tied and constrained ones have the diagonal 1.
+
+        Collective.
+
+        Args:
+            A: matrix without Dirichlet conditions, whose inactive rows are set to zero.
+            b: restricted right-hand side with the wanted values at the entries constrained by the
+                conditions of the last ``update``; their contribution is subtracted elsewhere.
+        """
+        A.diagonalScale(self._real_rows)
+        reduced = A.PtAP(self.matrix)
+        reduced.axpy(1.0, self._tied, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        reduced.zeroRowsColumns(self._fixed, 1.0, b.copy(), b)
+        return reduced
+
+    def _extrapolation(self, fixed: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Owned tied dofs ``(n,)``, global dofs ``(n, n_vertices)`` to take, and their weights."""
+        mesh = self.space.mesh
+        well = filled_fractions(self.body) >= self.threshold
+        full, rest = np.flatnonzero(well), np.flatnonzero(~well)
+        ill = nodes_of(mesh, self.cells.cells) & ~nodes_of(mesh, full)
+        tied = ill[:, None] & (self._node_dofs < self._sizes[0])
+        tied &= ~np.isin(self._node_dofs, fixed)
+        nodes, component = np.nonzero(tied)
+        rim = full[nodes_of(mesh, rest)[_compat.geometry_dofmap(mesh)[full]].any(axis=1)]
+        corners, dofs = self._gather(rim)
+        error = None
+        if len(nodes) and not len(corners):
+            error = ValueError(
+                f"no cell is filled to {self.threshold:g} of its volume, so nodes cannot be tied: "
+                "take a finer point set, or a lower threshold"
+            )
+        raise_together(mesh.comm, error)
+        x = mesh.geometry.x[nodes, : corners.shape[2]]
+        cell = _nearest(x, corners.mean(axis=1))
+        # weights that reproduce linear functions: barycentric coordinates on simplices
+        linear = np.concatenate([np.ones((*corners.shape[:2], 1)), corners], axis=2)[cell]
+        at_node = np.column_stack([np.ones(len(x)), x])
+        weights = np.einsum("nki,nk->ni", np.linalg.pinv(linear), at_node)
+        return self._node_dofs[nodes, component], dofs[cell, :, component], weights
+
+    def _gather(self, rim: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
+        """Corners and global dofs of the rim's cells on all ranks, in the order of their keys."""
+        geometry = cell_geometry(self.space.mesh)
+        here = (geometry.key[rim], geometry.corners[rim], self._global[self._cell_dofs[rim]])
+        gathered = self.space.mesh.comm.allgather(here)
+        key, corners, dofs = (np.concatenate(arrays) for arrays in zip(*gathered, strict=True))
+        order = np.argsort(key)
+        return corners[order], dofs[order]
+
+    def _create(self, csr: tuple[npt.NDArray, ...]) -> PETSc.Mat:
+        matrix = PETSc.Mat().createAIJ(
+            (self._sizes, self._sizes), comm=self.space.mesh.comm, csr=csr
+        )
+        matrix.assemble()
+        return matrix
+
+
+def _components(space: fem.FunctionSpace) -> list[npt.NDArray[np.int32]]:
+    """``(n_cells, n_nodes)`` unrolled local dofs of each scalar component of a space."""
+    if space.num_sub_spaces == 0:
+        return [space.dofmap.list]
+    subspaces = (space.sub(i) for i in range(space.num_sub_spaces))
+    return [dofs for subspace in subspaces for dofs in _components(subspace)]
+
+
+@numba.njit(cache=True)
+def _nearest(x, centres):  # type: ignore[no-untyped-def]
+    """Index of the centre nearest to each x; of those as near up to round-off, the first."""
+    result = np.zeros(len(x), dtype=np.int64)
+    for i in range(len(x)):
+        best = np.inf
+        for k in range(len(centres)):
+            square = 0.0
+            for j in range(x.shape[1]):
+                square += (x[i, j] - centres[k, j]) ** 2
+            if square < best * (1 - 1e-9):
+                best, result[i] = square, k
+    return result

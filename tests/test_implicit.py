@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: MIT
+"""Implicit dynamics: motions with known answers, conservation, failures that leave no trace."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+
+from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, points
+from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum, strain_energy
+from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark
+from fenicsmpm.mapping import ActiveCells, correct_weights
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import PointsOutsideError
+from fenicsmpm.solvers import NewtonError
+
+SCHEMES = [Bossak, GeneralizedAlpha, Newmark, BDF2]
+
+
+class Flight:
+    """A block that flies through a mesh, without loads or supports."""
+
+    def __init__(
+        self, scheme=Bossak, velocity=(1.0, 0.5), *, nu=0.5, stabilization="asgs", n=12, dt=0.01,
+        spin=0.0, dim=2, ghost=0.1, lumped=False, b=None, E=1000.0, spacing=None, **options
+    ):  # fmt: skip
+        if dim == 2:
+            domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (3, 2)], [3 * n // 2, n])
+        else:
+            domain = mesh.create_box(MPI.COMM_WORLD, [(0,) * 3, (3, 2, 2)], [9, 6, 6])
+        self.centre = np.full(dim, 0.8)
+
+        def inside(x):
+            return np.abs(x - self.centre).max(axis=1) < 0.4
+
+        def v0(x):
+            v = np.tile(velocity[:dim], (len(x), 1))
+            v[:, 0] -= spin * (x[:, 1] - self.centre[1])
+            v[:, 1] += spin * (x[:, 0] - self.centre[0])
+            return v
+
+        self.body = points.lattice(domain, spacing or 0.8 / (12 if dim == 2 else 8), inside=inside)
+        formulations.set_initial_state(self.body, 2.0, v0)
+        W = formulations.mixed_space(domain, projections=stabilization == "osgs")
+        U, V = fem.Function(W), ufl.TestFunction(W)
+        self.law = law = NeoHookean(E, nu)
+        self.scheme = scheme(U, dt=dt)
+        inertia = self.scheme.force(self.body, b)
+        if lumped:
+            R = formulations.mixed(U, V, self.body, law)
+            R += formulations.asgs(U, V, self.body, law, force=inertia)
+            R += self.scheme.lumped(V, self.body)
+        else:
+            R = formulations.stabilized(stabilization, U, V, self.body, law, force=inertia)
+        self.cells = ActiveCells(self.body)
+        if ghost:
+            R += formulations.ghost_penalty(U, V, self.cells, law, gamma=ghost)
+        self.R, self.U, self.V = R, U, V
+        self.sim = ImplicitMPM(R, U, self.scheme, self.body, **options)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("lumped", [False, True])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_free_flight(scheme, lumped):
+    flight = Flight(scheme, lumped=lumped)
+    body = flight.body
+    x0 = {i: x for i, x in zip(body.id, body.x.copy(), strict=True)}
+    x0 = {k: v for part in body.mesh.comm.allgather(x0) for k, v in part.items()}
+    before = momentum(body)
+    for _ in flight.sim.run(0.3):  # two to four cells
+        pass
+    v = np.array([1.0, 0.5])
+    assert momentum(body) == pytest.approx(before, rel=1e-12)
+    assert body["v"] == pytest.approx(np.tile(v, (len(body), 1)), rel=1e-10)
+    moved = np.array([x0[i] for i in body.id]).reshape(-1, 2) + 0.3 * v
+    assert body.x == pytest.approx(moved, rel=1e-10)
+    assert body["u"] == pytest.approx(np.tile(0.3 * v, (len(body), 1)), rel=1e-10)
+    assert body["F"] == pytest.approx(np.tile(np.eye(3), (len(body), 1, 1)), abs=1e-10)
+    assert np.abs(body["p"]).max(initial=0) < 1e-6 * 1000.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("stabilization", ["ppp", "asgs", "osgs"])
+def test_fall_under_gravity(stabilization):
+    g = ufl.as_vector((0.0, -2.0))
+    flight = Flight(
+        velocity=(0.5, 0.5), stabilization=stabilization, b=g, newton={"rtol": 1e-13}
+    )
+    for _ in flight.sim.run(0.2):
+        pass
+    body = flight.body
+    n = len(body)
+    assert body["v"] == pytest.approx(np.tile([0.5, 0.1], (n, 1)), rel=1e-9)
+    assert body["u"] == pytest.approx(np.tile([0.1, 0.1 - 0.04], (n, 1)), rel=1e-9)
+    assert body["J"] == pytest.approx(np.ones(n), abs=1e-10)
+
+
+def test_flight_in_space():
+    flight = Flight(velocity=(1.0, 0.5, 0.25), dim=3, dt=0.05)
+    before = momentum(flight.body)
+    for _ in flight.sim.run(0.2):
+        pass
+    assert momentum(flight.body) == pytest.approx(before, rel=1e-12)
+    n = len(flight.body)
+    assert flight.body["u"] == pytest.approx(np.tile([0.2, 0.1, 0.05], (n, 1)), rel=1e-9)
+
+
+def test_momentum_of_a_body_that_spins_and_deforms():
+    """Linear momentum is exact; angular momentum changes as lumped mapping says, and not more.
+
+    At the end of a step, internal forces do no work on rotations of the new configuration. With a
+    consistent mass matrix, the moment of the inertia that the points see there is zero.
+    """
+    flight = Flight(Newmark, nu=0.4, stabilization="none", spin=2.0, ghost=0.0, E=100.0)
+    body, sim = flight.body, flight.sim
+    before = momentum(body)
+    for _ in range(10):
+        sim.step()
+        moment = np.sum(
+            body["mass"] * (body.x[:, 0] * body["a"][:, 1] - body.x[:, 1] * body["a"][:, 0])
+        )
+        size = np.sum(body["mass"] * np.linalg.norm(body.x, axis=1) * np.abs(body["a"]).max())
+        assert abs(moment) < 1e-10 * size
+    assert momentum(body) == pytest.approx(before, rel=1e-12)
+
+
+def test_spin_keeps_volume_and_nearly_all_energy():
+    flight = Flight(spin=2.0, velocity=(0.5, 0.25))
+    body = flight.body
+    energy, spin = kinetic_energy(body), angular_momentum(body)
+    for _ in flight.sim.run(0.3):  # a third of a turn in a moving frame
+        pass
+    total = kinetic_energy(body) + strain_energy(body, flight.law)
+    assert total == pytest.approx(energy, rel=0.05)
+    assert angular_momentum(body) == pytest.approx(spin, rel=0.05)
+    assert body["J"] == pytest.approx(np.ones(len(body)), abs=0.02)
+
+
+def test_patch_of_moving_points():
+    """Points that move through cells keep a homogeneous state, if weights are corrected.
+
+    All nodes but some in the interior move in simple shear; those follow because the sum of the
+    weights in each cell around them is its volume.
+    """
+    flight = Flight(
+        Newmark, velocity=(0.0, 0.0), nu=0.3, stabilization="none", ghost=0.0, spacing=0.8 / 30
+    )
+    body, cells, U = flight.body, flight.cells, flight.U
+    W = U.function_space
+    R = formulations.mixed(U, flight.V, body, NeoHookean(1000.0, 0.3))  # quasi-static
+    V0 = W.sub(0).collapse()[0]
+    prescribed = fem.Function(V0)
+    rate = np.array([[0.0, 0.03], [0.0, 0.0]])
+    prescribed.interpolate(lambda x: rate @ (x[:2] - 0.8))
+
+    def around(x):
+        return np.abs(x[:2] - 0.8).max(axis=0) > 0.15
+
+    dofs = fem.locate_dofs_geometrical((W.sub(0), V0), around)
+    assert len(prescribed.x.array) - len(dofs[0]) == 2 * 4  # free
+    bc = fem.dirichletbc(prescribed, dofs, W.sub(0))
+    correct_weights(body, cells)
+    sim = ImplicitMPM(
+        R, U, flight.scheme, body, bcs=[bc], adapt=lambda body: correct_weights(body, cells)
+    )
+    F = np.eye(3)
+    for _ in range(5):
+        sim.step()
+        F = (np.eye(3) + np.pad(rate, (0, 1))) @ F
+        assert np.abs(body["F"] - F).max() < 1e-9
+
+
+def test_newton_failure_leaves_the_state():
+    flight = Flight(velocity=(1.0, 0.0), newton={"max_iterations": 1, "rtol": 1e-14}, spin=20.0)
+    body = flight.body
+    flight.sim.number = 1  # no start-up
+    before = body.snapshot()
+    with pytest.raises(NewtonError, match="diverged"):
+        flight.sim.step()
+    for name, array in before.items():
+        assert np.array_equal(body[name], array), name
+    assert (flight.sim.time, flight.sim.number) == (0.0, 1)
+    with pytest.raises(NewtonError):
+        list(flight.sim.run(0.1, smallest=0.5))
+
+
+def test_steps_are_halved_and_grow_again():
+    flight = Flight(spin=2.0)
+    sim, solve, failures = flight.sim, flight.sim.solve, [2]
+
+    def fails_twice():
+        if sim.number == 2 and failures[0] > 0:
+            failures[0] -= 1
+            raise NewtonError("diverged", "as asked for", [])
+        return solve()
+
+    sim.solve = fails_twice
+    steps = list(sim.run(0.05))
+    assert [s.attempts for s in steps[:4]] == [1, 1, 3, 1]
+    assert [s.dt for s in steps[:5]] == pytest.approx([0.01, 0.01, 0.0025, 0.005, 0.01])
+    assert sim.time == pytest.approx(0.05, abs=1e-12)
+
+
+@pytest.mark.mpi
+def test_points_that_leave():
+    fast = {"velocity": (-5.0, 0.0), "dt": 0.1}
+    flight = Flight(**fast)
+    before = flight.body.snapshot()
+    with pytest.raises(PointsOutsideError, match="points outside the background mesh"):
+        flight.sim.step()
+    assert np.array_equal(flight.body.x, before["x"])
+    for on_exit in ("delete", "clamp"):
+        flight = Flight(**fast, on_exit=on_exit)
+        n = flight.body.size_global
+        step = flight.sim.step()
+        assert 0 < step.removed < n
+        assert flight.body.size_global == (n - step.removed if on_exit == "delete" else n)
+        assert flight.body.bounds[0][0] > -1e-12
+    with pytest.raises(ValueError, match="on_exit must be one of"):
+        Flight(**fast, on_exit="ignore").sim.step()
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
+def test_wrong_time_step(dt):
+    with pytest.raises(ValueError, match="time step must be positive and finite"):
+        Flight(dt=dt)
+    flight = Flight()
+    with pytest.raises(ValueError, match="time step must be positive and finite"):
+        flight.sim.step(dt)
+
+
+def test_wrong_input():
+    for arguments, message in (
+        ({"rho_inf": 1.5}, "rho_inf = 1.5"),
+        ({"flip": -0.1}, "flip = -0.1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Flight(lambda U, dt, a=arguments: Bossak(U, dt=dt, **a))
+    with pytest.raises(ValueError, match="beta"):
+        Flight(lambda U, dt: Newmark(U, dt=dt, beta=0.0))
+    with pytest.raises(ValueError, match="gamma = 0"):
+        flight = Flight()
+        formulations.ghost_penalty(flight.U, flight.V, flight.cells, flight.law, gamma=0)
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 2, 2)
+    body = points.fill(domain, 2)
+    with pytest.raises(ValueError, match="density"):
+        formulations.set_initial_state(body, -1.0)
+    U = fem.Function(formulations.mixed_space(domain))
+    V = ufl.TestFunction(U.function_space)
+    R = formulations.mixed(U, V, body, NeoHookean(1.0, 0.3))
+    with pytest.raises(ValueError, match="set_initial_state"):
+        ImplicitMPM(R, U, Bossak(U, dt=0.1), body)
+    with pytest.raises(ValueError, match="same mesh"):
+        other = points.fill(mesh.create_unit_square(MPI.COMM_SELF, 2, 2), 2)
+        ActiveCells(body, other)
+
+
+def test_loop_by_hand_is_the_loop():
+    first, second = Flight(spin=3.0), Flight(spin=3.0)
+    for _ in range(3):
+        first.sim.step()
+    sim = second.sim
+    sim.step()
+    for _ in range(2):
+        sim.scheme.begin()
+        sim.map_to_grid()
+        sim.predict()
+        sim.solve()
+        sim.convect(sim.map_to_points())
+        sim.scheme.end()
+    assert np.array_equal(first.body.x, second.body.x)
+    assert np.array_equal(first.body["v"], second.body["v"])
+
+
+def test_a_field_of_ones_own():
+    flight = Flight(spin=3.0)
+    body = flight.body
+    body.add_field("stretch")
+    k = formulations.Kinematics(flight.scheme.increment, body)
+    sim = ImplicitMPM(
+        flight.R, flight.U, flight.scheme, body,
+        updates={body: {"stretch": ufl.sqrt(ufl.tr(k.F.T * k.F) / 3)}},
+    )  # fmt: skip
+    sim.step()
+    C = np.einsum("nki,nki->n", body["F"], body["F"])
+    assert body["stretch"] == pytest.approx(np.sqrt(C / 3), rel=1e-14)
+
+
+def test_printing():
+    text = repr(Flight().sim)
+    assert "ImplicitMPM" in text and "144 points" in text and "Bossak(dt=0.01 s" in text
+    assert isinstance(Flight().body, MaterialPoints)
