@@ -147,8 +147,8 @@ def penalty_dirichlet(
         material: law of the body, or a modulus E [Pa].
         value: prescribed displacement g from the initial position [m], d components or a UFL vector
             at the time at which the equations hold; None for zero.
-        factor: of the penalty [-]; far more than the default makes the cells along the boundary
-            too stiff, as they cannot bend and obey all points.
+        factor: of the penalty [-]: 10 to 100 give a cantilever the deflection of a fitted mesh,
+            more makes cut cells too stiff, as linear functions cannot bend and obey all points.
 
     Returns:
         UFL form of rank 1, to be added to the residual.

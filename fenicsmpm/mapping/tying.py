@@ -65,12 +65,16 @@ class Tying:
         self._sizes = (blocks.size_local * bs, blocks.size_global * bs)
         nodes = _compat.geometry_dofmap(space.mesh)
         components = _components(space)
-        if any(dofs.shape != nodes.shape for dofs in components):
-            raise ValueError(f"tying is for linear functions, not for {space.ufl_element()}")
-        # (n_cells, n_vertices, n_components) and (n_nodes, n_components) local dofs
-        self._cell_dofs = np.stack(components, axis=2)
+        # (n_nodes, n_components) and (n_cells, n_vertices, n_components) local dofs
         self._node_dofs = np.empty((len(space.mesh.geometry.x), len(components)), dtype=np.int32)
-        self._node_dofs[nodes] = self._cell_dofs
+        error = None
+        for node_dofs, dofs in zip(self._node_dofs.T, components, strict=True):
+            if dofs.shape == nodes.shape:
+                node_dofs[nodes] = dofs
+            if dofs.shape != nodes.shape or not np.array_equal(node_dofs[nodes], dofs):
+                error = ValueError(f"tying is for linear functions, not for {space.ufl_element()}")
+        raise_together(space.mesh.comm, error)
+        self._cell_dofs = self._node_dofs[nodes]
         self.update()
 
     def update(self, bcs: Sequence[fem.DirichletBC] = (), inactive: npt.ArrayLike = ()) -> None:

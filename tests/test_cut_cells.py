@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: MIT
+"""Remedies for cells that the body fills in part: corrected weights, tied nodes."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from forms_table import CELLS
+
+from fenicsmpm import ImplicitMPM, MaterialPoints, forms, points
+from fenicsmpm import formulations as fm
+from fenicsmpm.mapping import ActiveCells, Tying, correct_weights
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.solvers import NewtonSolver
+
+COMM = MPI.COMM_WORLD
+
+
+# --- weights ---------------------------------------------------------------------------------
+
+
+def disc(comm):
+    """Random points with random weights in a disc; the same on any number of ranks."""
+    domain = mesh.create_unit_square(comm, 10, 10)
+    rng = np.random.default_rng(4)
+    x = rng.random((6000, 2))
+    x = x[np.linalg.norm(x - 0.5, axis=1) < 0.42]
+    weight = rng.uniform(0.5, 1.5, len(x)) / 6000
+    here = slice(None) if comm.rank == 0 else slice(0)
+    body = MaterialPoints(domain, x[here], weight[here])
+    fm.set_initial_state(body, 2.0)
+    return domain, body
+
+
+def by_id(body, name):
+    comm = body.mesh.comm
+    order = np.argsort(np.concatenate(comm.allgather(body.id)))
+    return np.concatenate(comm.allgather(body[name]))[order]
+
+
+def test_weights_of_full_interior_cells_sum_to_their_volume():
+    domain, body = disc(MPI.COMM_SELF)
+    before, mass = body.weight.copy(), body["mass"].copy()
+    cells = ActiveCells(body)
+    correct_weights(body, cells)
+    active = np.bincount(body.cell, minlength=200) > 0
+    corners = domain.geometry.x[domain.geometry.dofmap]
+    sums, old = (np.bincount(body.cell, w, minlength=200) for w in (body.weight, before))
+    expected = 0
+    for cell in range(200):
+        # cells that share a vertex with this one
+        distance = np.linalg.norm(corners[:, :, None] - corners[cell], axis=3)
+        near = (distance < 1e-9).any(axis=(1, 2))
+        if active[near].all() and 0.5 <= old[cell] * 200 <= 1.5:
+            assert sums[cell] == pytest.approx(1 / 200, rel=1e-14)
+            expected += 1
+        else:
+            assert sums[cell] == old[cell]
+    assert 60 < expected < np.sum(active) - 30
+    cut = np.isin(body.cell, cells.cut_cells)
+    assert cut.any() and np.array_equal(body.weight[cut], before[cut])
+    assert np.array_equal(body["mass"], mass)
+    # points of a cell keep their shares
+    inner = body.cell == np.argmax(active & (sums != old))
+    ratio = body.weight[inner] / before[inner]
+    assert ratio == pytest.approx(ratio[0])
+
+
+@pytest.mark.mpi
+def test_weights_do_not_depend_on_the_ranks():
+    weights = []
+    for comm in (COMM, MPI.COMM_SELF):
+        _, body = disc(comm)
+        edge = MaterialPoints(body.mesh, [(0.5, 0.05)] if comm.rank == 0 else np.empty((0, 2)), 1)
+        correct_weights(body, ActiveCells(body, edge))
+        weights.append(by_id(body, "weight"))
+    assert weights[0] == pytest.approx(weights[1], rel=1e-14)
+
+
+@pytest.mark.mpi
+def test_holes_piles_and_neighbours_are_left_alone():
+    domain = mesh.create_unit_square(COMM, 6, 6)
+    body = points.fill(domain, 3)
+    assert len(ActiveCells(body).cut_cells) == 0
+    sparse, crowded = body.x[:, 0] < 1 / 3, body.x[:, 0] > 2 / 3
+    body["weight"] = body.weight * np.where(sparse, 0.4, np.where(crowded, 1.6, 1.1))
+    other = points.fill(domain, 1, inside=lambda x: x[:, 1] > 0.5)
+    other.add_field("V_0", (), other.weight)
+    probe = points.fill(domain, 1, inside=lambda x: x[:, 1] < 0.2)
+    before = body.weight.copy()
+    correct_weights(body, ActiveCells(body, other, probe))
+    corrected = (body.x[:, 0] > 1 / 3) & (body.x[:, 0] < 2 / 3) & (body.x[:, 1] < 0.5)
+    assert np.array_equal(body.weight[~corrected & ~sparse], before[~corrected & ~sparse])
+    assert np.array_equal(body.weight[sparse], before[sparse])
+    assert body.weight[corrected] == pytest.approx(before[corrected] / 1.1)
+
+
+def test_weights_of_a_stranger():
+    _, body = disc(MPI.COMM_SELF)
+    with pytest.raises(ValueError, match="not in the active cells"):
+        correct_weights(body, ActiveCells(body.copy()))
+
+
+# --- tying -----------------------------------------------------------------------------------
+
+
+def block(cell="triangle", n=8):
+    """A block that fills the lower half, and points in the layer of cells above."""
+    dim = 2 if cell in ("triangle", "quadrilateral") else 3
+    make = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
+    domain = make(COMM, *[n] * dim, CELLS[cell])
+    body = points.quadrature(domain, 2, inside=lambda x: x[:, -1] < 0.5)
+    above = points.fill(domain, 1, inside=lambda x: abs(x[:, -1] - 0.5 - 0.5 / n) < 0.5 / n)
+    return domain, body, above
+
+
+def linear(space):
+    """Function of a space, all of whose components are linear."""
+    f = fem.Function(space)
+    gradient = np.array([[0.3, -0.2, 0.5], [1.0, 0.7, -0.4], [0.2, 0.6, 0.1]])
+    if space.num_sub_spaces == 0 or space.dofmap.index_map_bs > 1:
+        size = space.dofmap.index_map_bs
+        f.interpolate(lambda x: (gradient @ x + 1)[:size])
+    else:
+        for i in range(space.num_sub_spaces):
+            size = max(space.sub(i).num_sub_spaces, 1)
+            f.sub(i).interpolate(lambda x, size=size, i=i: (gradient @ x + i)[:size])
+    return f
+
+
+def spaces(domain):
+    dim = domain.geometry.dim
+    yield fem.functionspace(domain, ("Lagrange", 1)), 1
+    yield fem.functionspace(domain, ("Lagrange", 1, (dim,))), dim
+    yield fm.mixed_space(domain), dim + 1
+    yield fm.mixed_space(domain, projections=True), 2 * dim + 2
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", CELLS)
+def test_linear_functions_are_extended_exactly(cell):
+    n = 4
+    domain, body, above = block(cell, n)
+    nodes = (n + 1) ** (domain.geometry.dim - 1)  # in the plane above
+    for space, components in spaces(domain):
+        tying = Tying(space, body, ActiveCells(body, above))
+        x, diagonal = tying.matrix.createVecs()
+        tying.matrix.getDiagonal(diagonal)
+        tied = diagonal.array_r == 0.0
+        assert COMM.allreduce(int(tied.sum()), MPI.SUM) == nodes * components
+        expected = linear(space).x.array[: len(tied)]
+        x.array_w[:] = np.where(tied, 1e3, expected)
+        tying.extend(x)
+        assert x.array_r == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.mpi
+def test_nothing_to_tie():
+    domain, body, _ = block()
+    W = fm.mixed_space(domain)
+    T = Tying(W, body, ActiveCells(body)).matrix
+    x, y = T.createVecs()
+    x.setRandom()
+    T.mult(x, y)
+    assert np.array_equal(x.array_r, y.array_r)
+
+
+def clamp(W, where, value):
+    V0, _ = W.sub(0).collapse()
+    facets = mesh.locate_entities_boundary(W.mesh, W.mesh.topology.dim - 1, where)
+    dofs = fem.locate_dofs_topological((W.sub(0), V0), W.mesh.topology.dim - 1, facets)
+    g = fem.Function(V0)
+    g.interpolate(value)
+    return fem.dirichletbc(g, dofs, W.sub(0))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
+def test_prescribed_homogeneous_deformation(cell):
+    """Data on the lower and left sides, constrained nodes among those that are tied from."""
+    domain, body, above = block(cell, n=2)
+    dim = domain.geometry.dim
+    W = fm.mixed_space(domain)
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    law = NeoHookean(E=3.0, nu=0.3)
+    gradient = np.array([[0.1, 0.05, 0.0], [0.02, -0.08, 0.1], [0.0, 0.1, 0.05]])[:dim, :dim]
+    J = np.linalg.det(np.eye(dim) + gradient)
+    exact = fem.Function(W)
+    exact.sub(0).interpolate(lambda x: gradient @ x[:dim])
+    exact.sub(1).interpolate(lambda x: np.full(x.shape[1], law.kappa * (J - 1)))
+    # full cells' nodes and, on the left, some that would be tied otherwise
+    bcs = [
+        clamp(W, lambda x: np.isclose(x[0], 0), lambda x: gradient @ x[:dim]),
+        clamp(W, lambda x: np.isclose(x[dim - 1], 0), lambda x: gradient @ x[:dim]),
+    ]
+    # loads that keep it in equilibrium: its residual
+    R = fm.mixed(U, V, body, law)
+    forcing = ufl.replace(R, {U: exact})
+    cells = ActiveCells(body, above)
+    solver = NewtonSolver(R - forcing, U, bcs, tying=Tying(W, body, cells))
+    result = solver.solve()
+    assert result.iterations <= 6
+    assert solver.solve().iterations <= 1  # data of several ranks may differ by round-off
+    touched = np.unique(W.dofmap.list[cells.cells])
+    owned = touched[touched < W.dofmap.index_map.size_local]
+    assert U.x.array[owned] == pytest.approx(exact.x.array[owned], abs=1e-9)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("thickness", [1e-6, 0.3])
+def test_sliver_follows_the_block(thickness):
+    """Load points above the last full cells, where no other node than the tied ones has any mass.
+
+    Uniaxial plane strain: a linear displacement, up to the lever of the load's position.
+    """
+    n, E, nu, t = 8, 1e3, 0.3, -1.0
+    domain, body, _ = block(n=n)
+    y = 0.5 + thickness / n
+    edge = points.on_curve(domain, (0, y), (1, y), spacing=0.5 / n)
+    W = fm.mixed_space(domain)
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    law = NeoHookean(E, nu)
+    cells = ActiveCells(body, edge)
+    R = fm.stabilized("asgs", U, V, body, law) + fm.dead_load(V, edge, (0.0, t))
+    rollers = []
+    for axis in (0, 1):
+        V0, _ = W.sub(0).sub(axis).collapse()
+        facets = mesh.locate_entities_boundary(domain, 1, lambda x, a=axis: np.isclose(x[a], 0))
+        dofs = fem.locate_dofs_topological((W.sub(0).sub(axis), V0), 1, facets)
+        rollers.append(fem.dirichletbc(fem.Function(V0), dofs, W.sub(0).sub(axis)))
+    result = NewtonSolver(R, U, rollers, tying=Tying(W, body, cells)).solve()
+    assert result.iterations <= 5
+    exact = fem.Function(W)
+    stiffness = E / (1 - nu**2)
+    exact.sub(0).interpolate(lambda x: t / stiffness * np.array([-nu / (1 - nu) * x[0], x[1]]))
+    dofs = np.unique(W.sub(0).dofmap.list[cells.cells])
+    scale = abs(t) / stiffness
+    # the linear theory is exact up to the strain; the load's lever counts where it stands
+    assert U.x.array[dofs] == pytest.approx(
+        exact.x.array[dofs], abs=scale * (5e-3 if thickness < 0.1 else 0.15)
+    )
+
+
+@pytest.mark.mpi
+def test_free_fall_with_tied_nodes_and_corrected_weights():
+    """All points fall by g t^2 / 2, whatever cells they cut."""
+    domain = mesh.create_unit_square(COMM, 12, 12)
+    g, dt, steps = np.array([0.1, -0.4]), 0.05, 12
+    body = points.lattice(
+        domain, 0.031, inside=lambda x: np.linalg.norm(x - [0.48, 0.54], axis=1) < 0.44
+    )
+    fm.set_initial_state(body, 3.0)
+    start = by_id(body, "x")
+    mass = by_id(body, "mass")
+    W = fm.mixed_space(domain)
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    law = NeoHookean(E=20.0, nu=0.3)
+    scheme = fm.GeneralizedAlpha(U, dt=dt)
+    force = scheme.force(body, fem.Constant(domain, g))
+    cells = ActiveCells(body)
+    sim = ImplicitMPM(
+        fm.stabilized("asgs", U, V, body, law, force=force),
+        U,
+        scheme,
+        body,
+        adapt=lambda b: correct_weights(b, cells),
+        newton={"tying": Tying(W, body, cells)},
+    )
+    for _ in range(steps):
+        sim.step()
+    time = steps * dt
+    assert by_id(body, "x") - start == pytest.approx(
+        np.broadcast_to(g * time**2 / 2, start.shape), abs=1e-8
+    )
+    assert np.array_equal(by_id(body, "mass"), mass)
+
+
+@pytest.mark.mpi
+def test_what_cannot_be_tied():
+    domain, body, above = block()
+    cells = ActiveCells(body, above)
+    W = fm.mixed_space(domain)
+    with pytest.raises(ValueError, match="no cell is filled to 2"):
+        Tying(W, body, cells, threshold=2.0)
+    with pytest.raises(ValueError, match="positive fraction on, not 0"):
+        Tying(W, body, cells, threshold=0.0)
+    with pytest.raises(ValueError, match="active cells of the body"):
+        Tying(W, body.copy(), cells)
+    discontinuous = (fem.functionspace(domain, ("DG", degree)) for degree in (0, 1))
+    for space in (fm.mixed_space(domain, degree=2), *discontinuous):
+        with pytest.raises(ValueError, match="tying is for linear functions"):
+            Tying(space, body, cells)
+    # a threshold that only full cells reach changes nothing here
+    assert Tying(W, body, cells, 1 - 1e-9).matrix.equal(Tying(W, body, cells).matrix)
+
+
+def test_nodes_without_load_or_mass_stay():
+    """The identity rows of nodes that nothing reaches do not enter the equations of others."""
+    domain, body, above = block(n=4)
+    V = fem.functionspace(domain, ("Lagrange", 1))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    R = (u * v - v) * body.dx - 0.5 * v * above.dx
+    solver = NewtonSolver(R, u, tying=Tying(V, body, ActiveCells(body, above)))
+    result = solver.solve()
+    assert result.iterations == 1  # a linear problem
+    # the constant function is in the space: the integrals of both sides are equal
+    left = forms.assemble_scalar(forms.form(u * body.dx))
+    assert left == pytest.approx(body.volume + 0.5 * above.volume)
