@@ -80,6 +80,20 @@ def test_weights_do_not_depend_on_the_ranks():
 
 
 @pytest.mark.mpi
+def test_ways_of_loads_to_the_body_are_empty():
+    weights = []
+    for load in (False, True):
+        domain, body = disc(COMM)
+        edge = MaterialPoints(domain, [(0.05, 0.05)] if COMM.rank == 0 else np.empty((0, 2)), 1)
+        cells = ActiveCells(body, loads=[edge] if load else [])
+        correct_weights(body, cells)
+        weights.append((by_id(body, "weight"), COMM.allreduce(len(cells.cells), MPI.SUM)))
+    (without, few), (with_load, many) = weights
+    assert many > few + 1
+    assert np.array_equal(without, with_load)
+
+
+@pytest.mark.mpi
 def test_holes_piles_and_neighbours_are_left_alone():
     domain = mesh.create_unit_square(COMM, 6, 6)
     body = points.fill(domain, 3)

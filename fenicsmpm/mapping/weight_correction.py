@@ -30,7 +30,7 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
 
     Args:
         body: material points with their volumes as weights [m^d], which are changed.
-        cells: active cells of the body, of others that it touches, and of boundary points.
+        cells: active cells of the body, of others that it touches, and of loads.
 
     Raises:
         ValueError: if the body is not one of the point sets of the cells.
@@ -39,7 +39,8 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
         raise ValueError("weights of a body that is not in the active cells: ActiveCells(body, ..)")
     mesh = cells.mesh
     fill = filled_fractions(body)
-    empty = np.setdiff1d(np.arange(len(fill), dtype=np.int32), cells.cells)
+    holding = np.concatenate([points.cell for points in cells.points])
+    empty = np.setdiff1d(np.arange(len(fill)), holding)
     at_gap = nodes_of(mesh, empty)[_compat.geometry_dofmap(mesh)[: len(fill)]].any(axis=1)
     full = ~at_gap & (fill >= _LEAST) & (fill <= _MOST)
     for other in cells.points:
