@@ -150,7 +150,9 @@ def draw(path, case, body, title):
         cloud["p"] = cloud["p"] / 1e6
     limits = (-2.0, 2.0)
     box = (case.lower, case.upper)
-    io.picture(path, [io.Panel(cloud, "p", title)], "mean stress p [MPa]", limits=limits, bounds=box)
+    io.picture(
+        path, [io.Panel(cloud, "p", title)], "mean stress p [MPa]", limits=limits, bounds=box
+    )
 
 
 # ## Results
@@ -177,7 +179,9 @@ def compare(case, history):
     deviations = {}
     for i, name in enumerate(("u_x", "u_y", "u_z"), start=1):
         here, there = np.argmax(np.abs(history[:, i])), np.argmax(np.abs(expected[:, i]))
-        difference = np.interp(t[t <= until], expected[:, 0], expected[:, i]) - history[t <= until, i]
+        difference = (
+            np.interp(t[t <= until], expected[:, 0], expected[:, i]) - history[t <= until, i]
+        )
         deviations[name] = float(np.abs(difference).max() / scale)
         rows.row(
             name, history[here, i], t[here], expected[there, i], expected[there, 0],

@@ -8,11 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from fenicsmpm import _compat
 from fenicsmpm.forms import PointExpression
 from fenicsmpm.formulations import Kinematics, parts
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
@@ -90,7 +93,7 @@ class ImplicitMPM:
         bcs: Sequence[fem.DirichletBC] = (),
         updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
         data: Callable[[float, float], None] | None = None,
-        taylor: bool = False,
+        taylor: bool = True,
         on_exit: str = "error",
         adapt: Callable[[MaterialPoints], None] | None = None,
         newton: Mapping[str, Any] | None = None,
@@ -122,6 +125,9 @@ class ImplicitMPM:
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", shapes["u"])
+        self._volumes = [
+            PointExpression(Kinematics(parts(U)[0], body).j, body) for body in self.bodies
+        ]
         self._updates = {
             points: _Updates(points, self._new_fields(points, updates or {}))
             for points in (*self.bodies, *self.carried)
@@ -138,10 +144,25 @@ class ImplicitMPM:
             project(self.bodies, name, function)
 
     def predict(self) -> None:
-        """Start Newton's method from the old pressure and no displacement."""
-        self.U.x.array[:] = 0.0
+        """Start Newton's method from the old pressure and a motion that goes on as it was.
+
+        At nodes of little mass that may turn cells inside out; then it starts from no motion.
+        """
+        x = self.U.x.array
         for function, (_, dofs) in zip(self._nodal, self._parts[1:], strict=True):
-            self.U.x.array[dofs] = function.x.array
+            x[dofs] = function.x.array
+        dofs = self._parts[0][1]
+        for guess in (*self.scheme.predictions(), 0.0):
+            x[dofs] = guess
+            for bc in self.newton.bcs:
+                _compat.bc_set(bc, x, None, 1.0)
+            if self._least_stretch() > 0.5:
+                break
+
+    def _least_stretch(self) -> float:
+        """Smallest det f of all points (collective)."""
+        least = min(float(np.min(j.evaluate(), initial=1.0)) for j in self._volumes)
+        return self.U.function_space.mesh.comm.allreduce(least, MPI.MIN)
 
     def solve(self) -> NewtonResult:
         """Find the increment of displacement and the pressure on the grid."""

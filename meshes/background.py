@@ -11,7 +11,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from dolfinx.mesh import Mesh, MeshTags
+from dolfinx.mesh import GhostMode, Mesh, MeshTags, create_cell_partitioner
 
 BODY = 1
 SURROUNDING = 2
@@ -122,7 +122,7 @@ def main(
 def _convert(make: Callable[[Any], None], dim: int, comm: MPI.Comm) -> tuple[Mesh, MeshTags]:
     """Let ``make`` fill the model of Gmsh on rank 0, and distribute its mesh."""
     if comm.rank != 0:
-        return _interface().model_to_mesh(None, comm, 0, gdim=dim)[:2]
+        return _interface().model_to_mesh(None, comm, 0, gdim=dim, partitioner=_partitioner())[:2]
 
     import gmsh
 
@@ -130,9 +130,14 @@ def _convert(make: Callable[[Any], None], dim: int, comm: MPI.Comm) -> tuple[Mes
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         make(gmsh)
-        return _interface().model_to_mesh(gmsh.model, comm, 0, gdim=dim)[:2]
+        return _interface().model_to_mesh(gmsh.model, comm, 0, dim, _partitioner())[:2]
     finally:
         gmsh.finalize()
+
+
+def _partitioner() -> Any:
+    """Ranks see their neighbours' cells, which integrals over interior facets need."""
+    return create_cell_partitioner(GhostMode.shared_facet)
 
 
 def _interface() -> Any:

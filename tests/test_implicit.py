@@ -86,15 +86,13 @@ def test_free_flight(scheme, lumped):
 @pytest.mark.parametrize("stabilization", ["ppp", "asgs", "osgs"])
 def test_fall_under_gravity(stabilization):
     g = ufl.as_vector((0.0, -2.0))
-    flight = Flight(
-        velocity=(0.5, 0.5), stabilization=stabilization, b=g, newton={"rtol": 1e-13}
-    )
+    flight = Flight(velocity=(0.5, 0.5), stabilization=stabilization, b=g, newton={"rtol": 1e-11})
     for _ in flight.sim.run(0.2):
         pass
     body = flight.body
     n = len(body)
-    assert body["v"] == pytest.approx(np.tile([0.5, 0.1], (n, 1)), rel=1e-9)
-    assert body["u"] == pytest.approx(np.tile([0.1, 0.1 - 0.04], (n, 1)), rel=1e-9)
+    assert body["v"] == pytest.approx(np.tile([0.5, 0.1], (n, 1)), rel=1e-7)
+    assert body["u"] == pytest.approx(np.tile([0.1, 0.1 - 0.04], (n, 1)), rel=1e-7)
     assert body["J"] == pytest.approx(np.ones(n), abs=1e-10)
 
 

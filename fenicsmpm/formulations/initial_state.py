@@ -19,8 +19,8 @@ def set_initial_state(
     """Give undeformed points the fields of a body in motion.
 
     These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
-    determinant [-], "u" displacement [m], "v" velocity [m/s] and "grad_v" its gradient [1/s], "a" acceleration [m/s^2] and "p"
-    mean stress [Pa].
+    determinant [-], "u" displacement [m], "v" velocity [m/s] and "grad_v" its gradient [1/s], "a"
+    acceleration [m/s^2] and "p" mean stress [Pa].
 
     Args:
         points: the body, with its volumes as weights.
@@ -54,7 +54,6 @@ def _gradient(
     """``(n, d, d)`` gradient of a function of positions, by central differences."""
     step = 1e-5 * max(float(np.ptp(x)) if x.size else 0.0, 1e-300)
     differences = [
-        np.asarray(velocity(x + e)) - np.asarray(velocity(x - e))
-        for e in step * np.eye(x.shape[1])
+        np.asarray(velocity(x + e)) - np.asarray(velocity(x - e)) for e in step * np.eye(x.shape[1])
     ]
     return np.stack(differences, axis=-1) / (2 * step)

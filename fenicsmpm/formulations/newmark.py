@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm.formulations.mixed import parts
@@ -74,6 +76,12 @@ class Newmark(TimeScheme):
     def share(self) -> float:  # type: ignore[override]
         """Share of the step at whose end the equations hold, 1 - alpha_f; u is that share."""
         return float(self._share.value)
+
+    def predictions(self) -> list[npt.NDArray[np.float64]]:
+        """Constant acceleration, and constant velocity."""
+        (steady,) = super().predictions()
+        dt = self.share * float(self.dt.value)
+        return [steady + dt**2 / 2 * self.histories["a"].x.array, steady]
 
     def _velocity_change(self, a: Any) -> Any:
         return self.dt * ((1 - self._gamma) * a + self._gamma * self._new_acceleration)

@@ -6,6 +6,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -70,6 +72,10 @@ class TimeScheme(ABC):
         """
         mass = FilledFraction(points, "mass")
         return mass * ufl.inner(self.acceleration, parts(V)[0]) * mass.vertex_dx
+
+    def predictions(self) -> list[npt.NDArray[np.float64]]:
+        """First guesses of the dofs of u [m], the boldest one first; here constant velocity."""
+        return [self.share * float(self.dt.value) * self.histories["v"].x.array]
 
     def smooth_values(self) -> dict[str, Any]:
         """What the histories are like on the grid after the step, if their gradients are smooth.

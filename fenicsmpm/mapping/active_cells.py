@@ -10,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import la
+from dolfinx.mesh import exterior_facet_indices
 
 from fenicsmpm import _compat
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
 
 
 class ActiveCells:
@@ -48,6 +50,7 @@ class ActiveCells:
         topology.create_connectivity(dim - 1, dim)
         topology.create_connectivity(dim, dim - 1)
         self._facet_cells = _two_cells(topology)
+        self._error = _check_ghosts(topology, self._facet_cells)
         domain = self.mesh.ufl_domain()
         self.dx = ufl.Measure("dx", domain=domain, subdomain_data=self)
         self.dS = ufl.Measure("dS", domain=domain, subdomain_data=self)
@@ -67,12 +70,18 @@ class ActiveCells:
     @property
     def cut_cells(self) -> npt.NDArray[np.int32]:
         """Owned cut cells, ascending (collective)."""
+        raise_together(self.mesh.comm, self._error)
         self._update()
         return self._cut_cells
 
     @property
     def facets(self) -> npt.NDArray[np.int32]:
-        """Owned facets between two active cells, at least one of them cut (collective)."""
+        """Owned facets between two active cells, at least one of them cut (collective).
+
+        Raises:
+            ValueError: on all ranks, for a mesh whose ranks do not see their neighbours' cells.
+        """
+        raise_together(self.mesh.comm, self._error)
         self._update()
         return self._facets
 
@@ -129,7 +138,6 @@ class ActiveCells:
         self._cells = np.flatnonzero(active.array[:owned]).astype(np.int32)
         self._cut_cells = np.flatnonzero(is_cut[:owned]).astype(np.int32)
 
-
     def _around(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
         """Mask of the local cells that share a node with owned ones of any rank (collective)."""
         nodes = la.vector(self.mesh.geometry.index_map())
@@ -148,3 +156,15 @@ def _two_cells(topology: Any) -> npt.NDArray[np.int32]:
     first = links.array[links.offsets[:-1]]
     last = links.array[links.offsets[1:] - 1]
     return np.column_stack([first, last]).astype(np.int32)
+
+
+def _check_ghosts(topology: Any, facet_cells: npt.NDArray[np.int32]) -> ValueError | None:
+    """What is wrong if an owned facet lacks the cell that another rank has."""
+    owned = topology.index_map(topology.dim - 1).size_local
+    single = np.flatnonzero(facet_cells[:owned, 0] == facet_cells[:owned, 1])
+    if len(np.setdiff1d(single, exterior_facet_indices(topology))) == 0:
+        return None
+    return ValueError(
+        "integrals over interior facets need the neighbours' cells on each rank: create the mesh "
+        "with partitioner=dolfinx.mesh.create_cell_partitioner(GhostMode.shared_facet)"
+    )
