@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 import numba
 
-from fenicsmpm import forms, formulations, io, mapping, materials, points, solvers
+from fenicsmpm import diagnostics, forms, formulations, io, mapping, materials, points, solvers
 from fenicsmpm.implicit import ImplicitMPM
 from fenicsmpm.points import MaterialPoints
 
@@ -16,6 +16,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ImplicitMPM",
     "MaterialPoints",
+    "diagnostics",
     "forms",
     "formulations",
     "io",

@@ -13,6 +13,7 @@ import pyvista
 DEMOS = Path(__file__).parent.parent / "demos"
 sys.path.insert(0, str(DEMOS))
 cooks_membrane = import_module("cooks_membrane")
+cooks_membrane_dynamic = import_module("cooks_membrane_dynamic")
 manufactured_solution = import_module("manufactured_solution")
 own_stabilization = import_module("own_stabilization")
 
@@ -112,3 +113,44 @@ def test_own_stabilization(tmp_path):
     assert tip["least_squares"] == pytest.approx(tip["asgs"], rel=1e-4)
     assert tip["brezzi_pitkaranta"] == pytest.approx(tip["asgs"], rel=0.05)
     assert tip["gradient_jumps"] == pytest.approx(tip["asgs"], rel=0.02)
+
+
+def test_dynamic_cooks_membrane(tmp_path):
+    case = cooks_membrane_dynamic.Case(h=0.2, per_cell=12)
+    _, history = cooks_membrane_dynamic.run(case, 0.5, tmp_path)
+    reference = np.loadtxt(cooks_membrane_dynamic.REFERENCE, delimiter=",")
+    expected = np.interp(history[:, 0], reference[:, 0], reference[:, 2])
+    assert history[-1, 2] == pytest.approx(0.5, abs=0.02)
+    assert np.abs(history[:, 2] - expected).max() < 0.02 * 1.177  # its first peak
+
+
+def test_dynamic_cooks_membrane_as_a_program(tmp_path, capsys):
+    cooks_membrane_dynamic.main(["--short", "--movie", "--output", str(tmp_path)])
+    assert "ASGS, h = 0.5 m" in capsys.readouterr().out
+    for name in ("pressure.png", "tip.png", "cooks_membrane_dynamic.gif"):
+        assert (tmp_path / name).stat().st_size > 10_000
+    assert pyvista.read(tmp_path / "points.vtp").field_data["scheme"][0] == "Bossak"
+
+
+@pytest.mark.parametrize("arguments", ["--size 0.3", "--dt 0", "--points 0", "--scheme Euler"])
+def test_wrong_options_of_the_dynamic_membrane(arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cooks_membrane_dynamic.main(arguments.split())
+    assert stopped.value.code == 2
+    assert arguments.split()[0][2:] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "name, component, share", [("bending_beam", "u_x", 0.01), ("twisting_column", "u_y", 0.05)]
+)
+def test_columns(name, component, share, tmp_path, capsys):
+    pytest.importorskip("gmsh")
+    bending_beam = import_module("bending_beam")
+    make = bending_beam.beam if name == "bending_beam" else import_module(name).twist
+    case = make(h=0.5, per_cell=12, dt=0.002)
+    sim, history = bending_beam.run(case, 0.02, tmp_path)
+    deviations = bending_beam.compare(case, history)
+    assert deviations[component] < share
+    assert sim.bodies[0]["J"].mean() == pytest.approx(1.0, abs=0.01)
+    times = pyvista.PVDReader(tmp_path / f"{name}.pvd").time_values
+    assert times == pytest.approx([0.02])

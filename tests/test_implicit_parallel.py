@@ -18,6 +18,7 @@ from fenicsmpm.materials import NeoHookean
 
 MESHES = Path(__file__).parent.parent / "meshes"
 sys.path.insert(0, str(MESHES))
+pytest.importorskip("gmsh")
 from background import read  # noqa: E402
 
 

@@ -2,8 +2,9 @@
 """Output for people and for other programs."""
 
 from fenicsmpm.io import checkpoint
-from fenicsmpm.io.console import Table, progress, say, show_log
+from fenicsmpm.io.console import Table, progress, say, show_log, watch
 from fenicsmpm.io.history import History, read_history
+from fenicsmpm.io.movie import animate
 from fenicsmpm.io.pictures import Panel, colour_range, picture
 from fenicsmpm.io.results import gather_functions, gather_points, write
 from fenicsmpm.io.series import Series
@@ -13,6 +14,7 @@ __all__ = [
     "Panel",
     "Series",
     "Table",
+    "animate",
     "checkpoint",
     "colour_range",
     "gather_functions",
@@ -22,5 +24,6 @@ __all__ = [
     "read_history",
     "say",
     "show_log",
+    "watch",
     "write",
 ]

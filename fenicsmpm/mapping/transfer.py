@@ -68,9 +68,9 @@ def project(
     nodal = np.zeros_like(total)
     for points in point_sets:
         weights = points[mass].reshape(len(points), 1)
-        values = points[name].reshape(len(points), -1)
+        values = points[name].reshape(len(points), space.dofmap.index_map_bs)
         if gradient is not None:
-            slopes = points[gradient].reshape(*values.shape, -1)
+            slopes = points[gradient].reshape(*values.shape, points.x.shape[1])
             values = values - np.einsum("pck,pk->pc", slopes, points.x)
             for k, x in enumerate(_nodes(space)):
                 total += x * p2g(points, weights * slopes[..., k], space).array
