@@ -69,11 +69,11 @@ class ImplicitMPM:
         updates: for each body, more fields to be updated at the end of a step, UFL over its points.
         data: called with the times at the beginning of a step and at which its equations hold, to
             set loads and boundary values that depend on time.
-        taylor: continue velocities linearly from points to nodes when they are mapped, see
-            ``mapping.project``; otherwise as in the paper.
+        taylor: continue velocities and accelerations linearly from points to nodes when they are
+            mapped, see ``mapping.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         adapt: called with each body at the end of a step, to change its quadrature weights.
-        newton: options of ``NewtonSolver``.
+        newton: options of ``NewtonSolver``; the line search is on unless they say otherwise.
 
     Attributes:
         time: [s].
@@ -103,11 +103,11 @@ class ImplicitMPM:
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
         self.data, self.on_exit, self.adapt = data, on_exit, adapt
-        self._slopes = scheme.smooth_values() if taylor else {}
+        self._slopes = scheme.grid_values() if taylor else {}
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
         self.next_dt = self._dt = float(scheme.dt.value)
-        self.newton = NewtonSolver(R, U, bcs, **(newton or {}))
+        self.newton = NewtonSolver(R, U, bcs, **({"line_search": True} | dict(newton or {})))
         self._parts = [U.function_space.sub(i).collapse() for i in range(len(parts(U)))]
         self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
         shapes = dict(zip(_PARTS, (part.ufl_shape for part in parts(U)), strict=False))
@@ -290,7 +290,7 @@ class ImplicitMPM:
             self.solve()
             for body in self.bodies:
                 new = self._updates[body].evaluate()
-                for name in {"a", "p"} & new.keys():
+                for name in {"a", "p", "grad_a"} & new.keys():
                     body[name] = new[name]
         finally:
             scheme.start_up(False)

@@ -268,3 +268,12 @@ def test_load_steps_of_a_linear_problem():
 
     steps = solve_in_load_steps(solver, set_load, first=0.25)
     assert [step.iterations for step in steps] == [1, 1, 1]  # 0.25, 0.75, 1
+
+
+def test_dirichlet_condition_on_nothing():
+    problem = Cantilever()
+    W = problem.U.function_space
+    nowhere = [np.empty(0, dtype=np.int32)] * 2
+    problem.solver.bcs = [fem.dirichletbc(problem.left, nowhere, W.sub(0))]
+    with pytest.raises(ValueError, match="on no degrees of freedom"):
+        problem.solver.solve()

@@ -65,9 +65,10 @@ class BDF2(TimeScheme):
     def memory(self, values: dict[str, float]) -> None:
         self._previous_dt = values.get("previous_dt")
 
-    def smooth_values(self) -> dict[str, Any]:
-        """Mean velocity and increment of displacement of the step, see ``TimeScheme``."""
-        return super().smooth_values() | {"du": self.increment}
+    def grid_values(self) -> dict[str, Any]:
+        """Velocity and the last increments of displacement and velocity on the grid."""
+        change = self._velocity - self.histories["v"]
+        return {"v": self._velocity, "du": self.increment, "dv": change}
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
         """New values of the points' fields, as UFL over the points."""

@@ -83,6 +83,11 @@ class Newmark(TimeScheme):
         dt = self.share * float(self.dt.value)
         return [steady + dt**2 / 2 * self.histories["a"].x.array, steady]
 
+    def grid_values(self) -> dict[str, Any]:
+        """Velocity and acceleration on the grid at the end of the step."""
+        v = self.histories["v"] + self._velocity_change(self.histories["a"])
+        return {"v": v, "a": self._new_acceleration}
+
     def _velocity_change(self, a: Any) -> Any:
         return self.dt * ((1 - self._gamma) * a + self._gamma * self._new_acceleration)
 
@@ -93,8 +98,7 @@ class Newmark(TimeScheme):
             points: the body.
         """
         flip = points.field("v") + self._velocity_change(points.field("a"))
-        pic = self.histories["v"] + self._velocity_change(self.histories["a"])
-        velocity = self.flip * flip + (1 - self.flip) * pic
+        velocity = self.flip * flip + (1 - self.flip) * self.grid_values()["v"]
         return {"v": velocity, "a": self._new_acceleration}
 
     def start_up(self, on: bool) -> None:

@@ -77,13 +77,9 @@ class TimeScheme(ABC):
         """First guesses of the dofs of u [m], the boldest one first; here constant velocity."""
         return [self.share * float(self.dt.value) * self.histories["v"].x.array]
 
-    def smooth_values(self) -> dict[str, Any]:
-        """What the histories are like on the grid after the step, if their gradients are smooth.
-
-        For the velocity it is the mean one of the step: the velocity at its end alternates at
-        nodes of little mass. Accelerations are rough.
-        """
-        return {"v": self.increment / self.dt}
+    @abstractmethod
+    def grid_values(self) -> dict[str, Any]:
+        """The histories at the end of the step, in UFL over the grid, by name."""
 
     @abstractmethod
     def updates(self, points: MaterialPoints) -> dict[str, Any]:

@@ -126,7 +126,7 @@ class NewtonSolver:
 
         Raises:
             NewtonError: why it failed; U then has the values that it had before.
-            ValueError: for Dirichlet conditions on another space.
+            ValueError: for Dirichlet conditions on another space, or on no degrees of freedom.
         """
         self._check_bcs()
         result = NewtonResult()
@@ -167,6 +167,11 @@ class NewtonSolver:
                 raise ValueError(
                     "Dirichlet condition on another function space than the unknown's: give "
                     "dirichletbc the space of the unknown, or a part of it, W.sub(i)"
+                )
+            if self.J.mesh.comm.allreduce(len(_compat.bc_dofs(bc))) == 0:
+                raise ValueError(
+                    "Dirichlet condition on no degrees of freedom: check the marker that "
+                    "should find them"
                 )
 
     def _iterate(self, result: NewtonResult) -> None:
