@@ -16,7 +16,10 @@ from fenicsmpm.points import MaterialPoints
 
 
 def p2g(
-    points: MaterialPoints, values: npt.NDArray[np.float64], space: fem.FunctionSpace
+    points: MaterialPoints,
+    values: npt.NDArray[np.float64],
+    space: fem.FunctionSpace,
+    least: float = 0.0,
 ) -> la.Vector:
     """Sum point values to the grid, ``sum_p N_I(x_p) values_p``.
 
@@ -24,6 +27,7 @@ def p2g(
         points: the point set.
         values: ``(n_points,)`` or ``(n_points, block size)`` in storage order, such as the weights.
         space: Lagrange space on the points' mesh, scalar or blocked.
+        least: what functions that are smaller than this in absolute value are taken for.
 
     Returns:
         Vector of the space, summed over all ranks, ghosts up to date (collective).
@@ -35,7 +39,7 @@ def p2g(
     table = stencil.table(_scalar_element(space), 0)
     rows = values.reshape(len(points), bs)[stencil.order]
     nodes = result.array.reshape(-1, bs)
-    _scatter(rows, table[:, 0, :], stencil.offsets, stencil.dofs(space), nodes)
+    _scatter(rows, table[:, 0, :], stencil.offsets, stencil.dofs(space), least, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
     return result
@@ -64,6 +68,9 @@ def project(
         mass: name of the field of masses, or "weight" for volumes.
     """
     space = function.function_space
+    # A node that points see by round-off only has a mass of any sign. With this share instead it
+    # gets a mean of what is near.
+    least = 1e-12
     total = fem.Function(space).x.array
     nodal = np.zeros_like(total)
     for points in point_sets:
@@ -73,9 +80,10 @@ def project(
             slopes = points[gradient].reshape(*values.shape, points.x.shape[1])
             values = values - np.einsum("pck,pk->pc", slopes, points.x)
             for k, x in enumerate(_nodes(space)):
-                total += x * p2g(points, weights * slopes[..., k], space).array
-        total += p2g(points, weights * values, space).array
-        nodal += p2g(points, np.broadcast_to(weights, values.shape), space).array
+                total += x * p2g(points, weights * slopes[..., k], space, least).array
+        total += p2g(points, weights * values, space, least).array
+        masses = np.broadcast_to(weights, values.shape)
+        nodal += p2g(points, masses, space, least).array
     function.x.array[:] = np.divide(total, nodal, out=np.zeros_like(total), where=nodal > 0)
 
 
@@ -91,9 +99,10 @@ def _scalar_element(space: fem.FunctionSpace) -> Any:
 
 
 @numba.njit(cache=True)
-def _scatter(values, table, offsets, dofs, result):  # type: ignore[no-untyped-def]
+def _scatter(values, table, offsets, dofs, least, result):  # type: ignore[no-untyped-def]
     for group in range(len(offsets) - 1):
         for k in range(offsets[group], offsets[group + 1]):
             for a in range(dofs.shape[1]):
+                share = table[k, a] if abs(table[k, a]) >= least else least
                 for c in range(values.shape[1]):
-                    result[dofs[group, a], c] += values[k, c] * table[k, a]
+                    result[dofs[group, a], c] += values[k, c] * share
