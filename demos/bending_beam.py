@@ -127,9 +127,8 @@ def build(case):
     return ImplicitMPM(R, U, scheme, body, carried=[tip], bcs=[bc], adapt=adapt)
 
 
-# A run writes a file for ParaView every `interval`. Where it fails, it shows what it has. Kinetic and
-# strain energy should stay what they were: `--scheme Newmark` lets them grow, as $J = 1$ at the end
-# of each step makes Newmark's method only weakly stable; Bossak's takes a little.
+# A run writes a file for ParaView every `interval`. Where it fails, it shows what it has. The sum
+# of kinetic and strain energy should stay what it was.
 
 
 def run(case, until, output, movie=False, interval=0.02):

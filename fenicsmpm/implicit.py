@@ -73,7 +73,7 @@ class ImplicitMPM:
             mapped, see ``mapping.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         adapt: called with each body at the end of a step, to change its quadrature weights.
-        newton: options of ``NewtonSolver``; the line search is on unless they say otherwise.
+        newton: options of ``NewtonSolver``.
 
     Attributes:
         time: [s].
@@ -107,7 +107,7 @@ class ImplicitMPM:
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
         self.next_dt = self._dt = float(scheme.dt.value)
-        self.newton = NewtonSolver(R, U, bcs, **({"line_search": True} | dict(newton or {})))
+        self.newton = NewtonSolver(R, U, bcs, **(newton or {}))
         self._parts = [U.function_space.sub(i).collapse() for i in range(len(parts(U)))]
         self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
         shapes = dict(zip(_PARTS, (part.ufl_shape for part in parts(U)), strict=False))

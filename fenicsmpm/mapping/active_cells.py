@@ -118,7 +118,8 @@ class ActiveCells:
         if self._loads:
             loaded = np.unique(np.concatenate([points.cell for points in self._loads]))
             apart = loaded[active.array[loaded] == 0]
-            active.array[self._around(apart)] = 1.0
+            around = nodes_of(self.mesh, apart)[_compat.geometry_dofmap(self.mesh)].any(axis=1)
+            active.array[around] = 1.0
         active.scatter_forward()
         # facets of the mesh's own boundary have one cell, repeated: nothing is missing there
         first, second = active.array[self._facet_cells].T > 0
@@ -138,15 +139,20 @@ class ActiveCells:
         self._cells = np.flatnonzero(active.array[:owned]).astype(np.int32)
         self._cut_cells = np.flatnonzero(is_cut[:owned]).astype(np.int32)
 
-    def _around(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-        """Mask of the local cells that share a node with owned ones of any rank (collective)."""
-        nodes = la.vector(self.mesh.geometry.index_map())
-        nodes.array[:] = 0.0
-        dofmap = _compat.geometry_dofmap(self.mesh)
-        nodes.array[dofmap[cells]] = 1.0
-        nodes.scatter_reverse(la.InsertMode.add)
-        nodes.scatter_forward()
-        return (nodes.array[dofmap] > 0).any(axis=1)
+
+def nodes_of(mesh: Any, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
+    """``(n_nodes,)`` mask of the local nodes of the mesh in given cells of any rank (collective).
+
+    Args:
+        mesh: background mesh.
+        cells: owned cells.
+    """
+    marks = la.vector(mesh.geometry.index_map())
+    marks.array[:] = 0.0
+    marks.array[_compat.geometry_dofmap(mesh)[cells]] = 1.0
+    marks.scatter_reverse(la.InsertMode.add)
+    marks.scatter_forward()
+    return marks.array > 0
 
 
 def _two_cells(topology: Any) -> npt.NDArray[np.int32]:

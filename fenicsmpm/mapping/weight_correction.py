@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
-from dolfinx import la
 
 from fenicsmpm import _compat
-from fenicsmpm.mapping.active_cells import ActiveCells
+from fenicsmpm.mapping.active_cells import ActiveCells, nodes_of
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.geometry import cell_geometry
 
@@ -60,18 +57,3 @@ def filled_fractions(body: MaterialPoints) -> npt.NDArray[np.float64]:
     n = geometry.num_owned
     volume = geometry.volume(np.arange(n, dtype=np.int32))
     return np.bincount(body.cell, body.weight, minlength=n) / volume
-
-
-def nodes_of(mesh: Any, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-    """``(n_nodes,)`` mask of the local nodes of the mesh in given cells of any rank (collective).
-
-    Args:
-        mesh: background mesh.
-        cells: owned cells.
-    """
-    marks = la.vector(mesh.geometry.index_map())
-    marks.array[:] = 0.0
-    marks.array[_compat.geometry_dofmap(mesh)[cells].ravel()] = 1.0
-    marks.scatter_reverse(la.InsertMode.add)
-    marks.scatter_forward()
-    return marks.array > 0

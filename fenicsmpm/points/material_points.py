@@ -20,6 +20,7 @@ from fenicsmpm.points.checks import (
     check_selection,
     check_weight,
 )
+from fenicsmpm.points.description import describe
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import exchange, find_cells, owners
 from fenicsmpm.points.point_field import PointField
@@ -401,21 +402,6 @@ class MaterialPoints:
             data = {name: np.concatenate([a[stays], new[name]]) for name, a in data.items()}
         self._replace(data)
 
-    # --- what it says ---------------------------------------------------------------------------
-
     def __repr__(self) -> str:
         """Numbers of this rank (printing on one rank only must not wait for the others)."""
-        where = f" on rank {self._comm.rank} of {self._comm.size}" if self._comm.size > 1 else ""
-        head = f"MaterialPoints: {len(self)} of {self.size_global} points{where}"
-        if len(self):
-            count = np.diff(self.cell_offsets)
-            count = count[count > 0]
-            x, fields = self._data["x"], ", ".join(self.field_names) or "none"
-            lower, upper = (np.array2string(b, precision=6) for b in (x.min(0), x.max(0)))
-            head += (
-                f" in {len(count)} of {self._locator.geometry.num_owned} cells, a filled cell has "
-                f"{count.min()} to {count.max()}, {count.mean():.3g} on average\n"
-                f"  total weight {self._data['weight'].sum():.6g}, bounds {lower} to {upper}, "
-                f"fields: {fields}"
-            )
-        return head
+        return describe(self)

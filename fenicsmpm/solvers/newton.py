@@ -69,7 +69,8 @@ class NewtonSolver:
         rtol: tolerance of the residual relative to the first one.
         atol: absolute tolerance of the residual.
         max_iterations: linear systems to solve at most.
-        line_search: halve a step while the residual is not finite or does not decrease.
+        line_search: halve a step while the residual does not decrease; while it is not finite, a
+            step is halved in any case.
         tying: takes nodes of little mass out of the system; residuals are then those of the rest.
         petsc_options: options of the linear solver, see ``LinearSolver``.
         jit_options: see ``forms.form``.
@@ -227,8 +228,10 @@ class NewtonSolver:
         while True:
             self.U.x.array[:] = old - length * step
             new = self._residual_norm()
-            decreased = np.isfinite(new) and new <= (1 - 1e-4 * length) * norm
-            if not self.line_search or decreased or new <= self.atol or self._is_negligible(step):
+            good = np.isfinite(new)
+            if self.line_search:
+                good &= new <= max((1 - 1e-4 * length) * norm, self.atol)
+            if good or self._is_negligible(step):
                 break
             length /= 2
             if length < 1e-3:
