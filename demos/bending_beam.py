@@ -69,6 +69,7 @@ class Case:
     per_cell: int = 12  # material points
     dt: float = 0.001  # s
     scheme: str = "Bossak"
+    taylor: bool = False  # continue velocities linearly to the nodes
 
     def label(self):
         return f"h = {self.h:.4g} m, {self.per_cell} points a cell"
@@ -124,7 +125,7 @@ def build(case):
     def adapt(body):
         correct_weights(body, cells)
 
-    return ImplicitMPM(R, U, scheme, body, carried=[tip], bcs=[bc], adapt=adapt)
+    return ImplicitMPM(R, U, scheme, body, carried=[tip], bcs=[bc], adapt=adapt, taylor=case.taylor)
 
 
 # A run writes a file for ParaView every `interval`. Where it fails, it shows what it has. The sum

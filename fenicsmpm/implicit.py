@@ -93,7 +93,7 @@ class ImplicitMPM:
         bcs: Sequence[fem.DirichletBC] = (),
         updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
         data: Callable[[float, float], None] | None = None,
-        taylor: bool = True,
+        taylor: bool = False,
         on_exit: str = "error",
         adapt: Callable[[MaterialPoints], None] | None = None,
         newton: Mapping[str, Any] | None = None,

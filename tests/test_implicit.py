@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, points
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum, strain_energy
 from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark
-from fenicsmpm.mapping import ActiveCells, correct_weights
+from fenicsmpm.mapping import ActiveCells, correct_weights, project
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import PointsOutsideError
 from fenicsmpm.solvers import NewtonError
@@ -94,6 +94,34 @@ def test_fall_under_gravity(stabilization):
     assert body["v"] == pytest.approx(np.tile([0.5, 0.1], (n, 1)), rel=1e-7)
     assert body["u"] == pytest.approx(np.tile([0.1, 0.1 - 0.04], (n, 1)), rel=1e-7)
     assert body["J"] == pytest.approx(np.ones(n), abs=1e-10)
+
+
+@pytest.mark.mpi
+def test_projection_of_linear_fields():
+    """With their gradient, linear fields are exact at every node that has a point nearby."""
+    body = Flight().body
+    A, b = np.array([[1.0, 2.0], [-3.0, 0.5]]), np.array([0.1, -0.2])
+    body["v"] = body.x @ A.T + b
+    body["grad_v"] = A
+    v = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    exact = v.function_space.tabulate_dof_coordinates()[:, :2] @ A.T + b
+    project([body], "v", v, gradient="grad_v")
+    nodes = v.x.array.reshape(-1, 2)
+    near = np.abs(nodes).max(axis=1) > 0
+    assert body.mesh.comm.allreduce(int(near.sum())) > 30
+    assert nodes[near] == pytest.approx(exact[near], abs=1e-11)
+    project([body], "v", v)
+    plain = v.x.array.reshape(-1, 2)[near]
+    error = body.mesh.comm.allreduce(float(np.abs(plain - exact[near]).max(initial=0)), MPI.MAX)
+    assert 0.01 < error < 0.5  # at the boundary, a share of the cell size
+
+
+def test_spin_with_linear_continuation():
+    flight = Flight(spin=2.0, velocity=(0.5, 0.25), taylor=True)
+    spin = angular_momentum(flight.body)
+    for _ in flight.sim.run(0.3):
+        pass
+    assert angular_momentum(flight.body) == pytest.approx(spin, rel=0.02)
 
 
 def test_flight_in_space():
