@@ -69,8 +69,8 @@ class ImplicitMPM:
         updates: for each body, more fields to be updated at the end of a step, UFL over its points.
         data: called with the times at the beginning of a step and at which its equations hold, to
             set loads and boundary values that depend on time.
-        taylor: continue velocities and accelerations linearly from points to nodes when they are
-            mapped, see ``mapping.project``; otherwise as in the paper.
+        taylor: continue velocities linearly from points to nodes when they are mapped, see
+            ``mapping.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         adapt: called with each body at the end of a step, to change its quadrature weights.
         newton: options of ``NewtonSolver``.
@@ -102,8 +102,7 @@ class ImplicitMPM:
         self.U, self.scheme = U, scheme
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
-        self.data, self.on_exit, self.adapt = data, on_exit, adapt
-        self._slopes = scheme.grid_values() if taylor else {}
+        self.data, self.taylor, self.on_exit, self.adapt = data, taylor, on_exit, adapt
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
         self.next_dt = self._dt = float(scheme.dt.value)
@@ -119,9 +118,6 @@ class ImplicitMPM:
             for name in scheme.histories:
                 if name not in body:
                     body.add_field(name, shapes["u"])
-            for name in self._slopes:
-                if f"grad_{name}" not in body:
-                    body.add_field(f"grad_{name}", 2 * shapes["u"])
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", shapes["u"])
@@ -138,7 +134,7 @@ class ImplicitMPM:
     def map_to_grid(self) -> None:
         """P2G: histories of the scheme, pressure and projections, by lumped mass."""
         for name, function in self.scheme.histories.items():
-            slope = f"grad_{name}" if name in self._slopes else None
+            slope = "grad_v" if self.taylor and name == "v" else None
             project(self.bodies, name, function, gradient=slope)
         for name, function in zip(_PARTS[1:], self._nodal, strict=False):
             project(self.bodies, name, function)
@@ -290,7 +286,7 @@ class ImplicitMPM:
             self.solve()
             for body in self.bodies:
                 new = self._updates[body].evaluate()
-                for name in {"a", "p", "grad_a"} & new.keys():
+                for name in {"a", "p"} & new.keys():
                     body[name] = new[name]
         finally:
             scheme.start_up(False)
@@ -305,8 +301,8 @@ class ImplicitMPM:
             k = Kinematics(increment, points)
             fields |= {"F": k.F, **dict(others)}
             fields |= self.scheme.updates(points)
-            slopes = self._slopes.items()
-            fields |= {f"grad_{name}": k.grad(value) for name, value in slopes}
+            if self.taylor:
+                fields["grad_v"] = k.grad(self.scheme.grid_velocity())
         return fields | dict(updates.get(points, {}))
 
     def __repr__(self) -> str:
@@ -344,7 +340,8 @@ class _Updates:
 
 
 def _require_fields(body: MaterialPoints) -> None:
-    missing = [name for name in ("mass", "V_0", "F", "J", "u", "v", "p") if name not in body]
+    needed = ("mass", "V_0", "F", "J", "u", "v", "grad_v", "p")
+    missing = [name for name in needed if name not in body]
     if missing:
         raise ValueError(
             f"a body without the fields {', '.join(missing)} cannot move: call "

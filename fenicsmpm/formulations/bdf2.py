@@ -65,10 +65,9 @@ class BDF2(TimeScheme):
     def memory(self, values: dict[str, float]) -> None:
         self._previous_dt = values.get("previous_dt")
 
-    def grid_values(self) -> dict[str, Any]:
-        """Velocity and the last increments of displacement and velocity on the grid."""
-        change = self._velocity - self.histories["v"]
-        return {"v": self._velocity, "du": self.increment, "dv": change}
+    def grid_velocity(self) -> Any:
+        """Velocity on the grid at the end of the step [m/s], UFL."""
+        return self._velocity
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
         """New values of the points' fields, as UFL over the points."""

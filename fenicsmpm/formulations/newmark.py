@@ -83,10 +83,9 @@ class Newmark(TimeScheme):
         dt = self.share * float(self.dt.value)
         return [steady + dt**2 / 2 * self.histories["a"].x.array, steady]
 
-    def grid_values(self) -> dict[str, Any]:
-        """Velocity and acceleration on the grid at the end of the step."""
-        v = self.histories["v"] + self._velocity_change(self.histories["a"])
-        return {"v": v, "a": self._new_acceleration}
+    def grid_velocity(self) -> Any:
+        """Velocity on the grid at the end of the step [m/s], UFL."""
+        return self.histories["v"] + self._velocity_change(self.histories["a"])
 
     def _velocity_change(self, a: Any) -> Any:
         return self.dt * ((1 - self._gamma) * a + self._gamma * self._new_acceleration)
@@ -98,7 +97,7 @@ class Newmark(TimeScheme):
             points: the body.
         """
         flip = points.field("v") + self._velocity_change(points.field("a"))
-        velocity = self.flip * flip + (1 - self.flip) * self.grid_values()["v"]
+        velocity = self.flip * flip + (1 - self.flip) * self.grid_velocity()
         return {"v": velocity, "a": self._new_acceleration}
 
     def start_up(self, on: bool) -> None:

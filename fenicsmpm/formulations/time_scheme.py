@@ -78,8 +78,8 @@ class TimeScheme(ABC):
         return [self.share * float(self.dt.value) * self.histories["v"].x.array]
 
     @abstractmethod
-    def grid_values(self) -> dict[str, Any]:
-        """The histories at the end of the step, in UFL over the grid, by name."""
+    def grid_velocity(self) -> Any:
+        """Velocity on the grid at the end of the step [m/s], UFL."""
 
     @abstractmethod
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
