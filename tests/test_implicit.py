@@ -344,5 +344,5 @@ def test_energy_of_a_swinging_beam(scheme):
     start = kinetic_energy(body)
     energies = [(kinetic_energy(body), strain_energy(body, law)) for _ in sim.run(0.8)]
     kinetic, strain = np.array(energies).T / start
-    assert strain.max() > 0.5  # it bends
+    assert strain.max() > 0.4  # it bends
     assert 0.85 < (kinetic + strain).min() and (kinetic + strain).max() < 1.01
