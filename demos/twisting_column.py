@@ -10,10 +10,6 @@
 # It is section 6.4 of Moreno, Wüchner and Larese, *A mixed stabilized MPM formulation for
 # incompressible hyperelastic materials using Variational Subgrid-Scales*. Formulation,
 # implementation and options are those of the bending beam.
-#
-# One thing is different. A node at the surface has material on one side only. Its velocity, a mean
-# of those of the points around it, is too small where velocities grow outwards: the column would
-# turn too slowly. Here points continue their velocities linearly to the nodes (`taylor=True`).
 
 import numpy as np
 from bending_beam import Case, main
@@ -26,7 +22,6 @@ def twist(**options):
         (-1.25, -1.25, 0.0),
         (1.25, 1.25, 7.0),
         "twisting_column.csv",
-        taylor=True,
         **options,
     )
 
