@@ -177,12 +177,11 @@ class ImplicitMPM:
         removed = 0
         for points, fields in new.items():
             increment = fields["u"] - points["u"]
-            for name, values in fields.items():
-                points[name] = values
+            points.assign(fields)
             removed += move(points, points.x + increment, self.on_exit)
         for body in self.bodies:
-            body["J"] = np.linalg.det(body["F"])
-            body["weight"] = body["V_0"] * body["J"]
+            J = np.linalg.det(body["F"])
+            body.assign({"J": J, "weight": body["V_0"] * J})
             if self.adapt is not None:
                 self.adapt(body)
         return removed
@@ -261,7 +260,7 @@ class ImplicitMPM:
             yield step
 
     def _snapshot(self) -> Any:
-        return [(points, points.snapshot()) for points in self._updates]
+        return [(points, points.snapshot(copy=False)) for points in self._updates]
 
     def _restore(self, snapshot: Any) -> None:
         for points, arrays in snapshot:
@@ -321,6 +320,7 @@ class _Updates:
     """New values of several fields of a point set, compiled as one expression."""
 
     def __init__(self, points: MaterialPoints, fields: Mapping[str, Any]) -> None:
+        self._points = points
         self._shapes = {name: value.ufl_shape for name, value in fields.items()}
         components = [
             value[index] if index else value
@@ -330,12 +330,15 @@ class _Updates:
         self._expression = PointExpression(ufl.as_vector(components), points)
 
     def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
-        values = self._expression.evaluate()
-        result, first = {}, 0
-        for name, shape in self._shapes.items():
-            size = int(np.prod(shape, dtype=int))
-            result[name] = values[:, first : first + size].reshape(len(values), *shape)
-            first += size
+        n = len(self._points)
+        result = {name: np.empty((n, *shape)) for name, shape in self._shapes.items()}
+        for rows, values in self._expression.batches():
+            first = 0
+            for name, shape in self._shapes.items():
+                size = int(np.prod(shape, dtype=int))
+                part = values[:, first : first + size]
+                result[name][rows] = part.reshape(len(rows), *shape)
+                first += size
         return result
 
 

@@ -33,7 +33,6 @@ class LagrangeStencil:
         self._points: weakref.ref[MaterialPoints] = weakref.ref(points)
         self._version = -1
         self._tables: dict[tuple[int, int], npt.NDArray[np.float64]] = {}
-        self._jacobians: npt.NDArray[np.float64] | None = None
 
     @property
     def points(self) -> MaterialPoints:
@@ -64,10 +63,9 @@ class LagrangeStencil:
 
     def jacobian(self) -> npt.NDArray[np.float64]:
         """``(n_points, d, d)`` dx/dxi at the points, in m, in the order of cells."""
-        self._refresh()
-        if self._jacobians is None:
-            self._jacobians = self._tabulate_jacobian()
-        return self._jacobians
+        dim = self.points.mesh.geometry.dim
+        reference, nodes = self._tabulate_geometry(1)
+        return np.einsum("kpa,pai->pik", reference[1 : dim + 1], nodes, optimize=True)
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Values and derivatives of a scalar element's functions at the points.
@@ -89,7 +87,6 @@ class LagrangeStencil:
         if self._version != self.points.version:
             self._version = self.points.version
             self._tables = {}
-            self._jacobians = None
 
     def _cells(self) -> npt.NDArray[np.int32]:
         return self.points.cell[self.points.order]
@@ -108,11 +105,6 @@ class LagrangeStencil:
         dim = mesh.geometry.dim
         nodes = mesh.geometry.x[_compat.geometry_dofmap(mesh)[self._cells()], :dim]
         return reference, nodes
-
-    def _tabulate_jacobian(self) -> npt.NDArray[np.float64]:
-        dim = self.points.mesh.geometry.dim
-        reference, nodes = self._tabulate_geometry(1)
-        return np.einsum("kpa,pai->pik", reference[1 : dim + 1], nodes, optimize=True)
 
     def _tabulate(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         dim = self.points.mesh.geometry.dim

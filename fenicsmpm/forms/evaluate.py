@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import basix.ufl
@@ -51,18 +52,32 @@ class PointExpression:
         integrand = sum(c * test[k] for k, c in enumerate(components))
         self._integral = PointIntegral(integrand, points, None, jit_options or {})
 
+    def batches(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
+        """Values now, some points at a time, so that few of them are in memory at once.
+
+        Yields:
+            Storage indices ``(n,)`` and values ``(n, size)``, flattened components; nothing for
+            an expression that is zero.
+        """
+        if self._integral.kernel is None:  # zero
+            return
+        layout = self._integral.lowered.arguments[0].layout
+        assert layout is not None
+        # components that are zero have no slot
+        columns = self._integral.lowered.arguments[0].used // layout.n_rows
+        size = int(np.prod(self.shape, dtype=int))
+        for rows, tensors in self._integral.point_tensors():
+            values = np.zeros((len(rows), size))
+            values[:, columns] = tensors
+            yield rows, values
+
     def evaluate(self) -> npt.NDArray[np.float64]:
         """Values now, ``(n_points, *shape)`` in the points' storage order."""
-        integral = self._integral
-        points = integral.points
-        result = np.zeros((len(points), int(np.prod(self.shape, dtype=int))))
-        if integral.kernel is not None:
-            layout = integral.lowered.arguments[0].layout
-            assert layout is not None
-            columns = integral.lowered.arguments[0].used // layout.n_rows
-            values = integral.point_tensors()
-            result[integral.sites.order[:, None], columns] = values
-        return result.reshape(len(points), *self.shape)
+        n = len(self._integral.points)
+        result = np.zeros((n, int(np.prod(self.shape, dtype=int))))
+        for rows, values in self.batches():
+            result[rows] = values
+        return result.reshape(n, *self.shape)
 
 
 def evaluate(expression: Any, points: MaterialPoints) -> npt.NDArray[np.float64]:
@@ -91,10 +106,9 @@ def describe_not_finite(compiled: Form) -> str:
     """
     found = None
     for integral in compiled.point_integrals:
-        tensors = integral.point_tensors()
-        bad = np.flatnonzero(~np.isfinite(tensors).all(axis=tuple(range(1, tensors.ndim))))
+        bad = np.concatenate([np.empty(0, dtype=np.int64), *_not_finite(integral)])
         if len(bad) > 0 and found is None:
-            points, k = integral.points, integral.sites.order[bad[0]]
+            points, k = integral.points, bad[0]
             found = (
                 f"the integrand is not finite at {len(bad)} points, first at point "
                 f"{points.id[k]} in cell {points.cell[k]} on rank {points.mesh.comm.rank}, "
@@ -103,3 +117,9 @@ def describe_not_finite(compiled: Form) -> str:
             )
     messages = [m for m in compiled.mesh.comm.allgather(found) if m is not None]
     return messages[0] if messages else "the integrands over material points are finite"
+
+
+def _not_finite(integral: PointIntegral) -> Iterator[npt.NDArray[np.int64]]:
+    """Storage indices of the points where an integrand is not finite."""
+    for rows, tensors in integral.point_tensors():
+        yield rows[~np.isfinite(tensors).all(axis=tuple(range(1, tensors.ndim)))]

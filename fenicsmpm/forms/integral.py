@@ -167,17 +167,23 @@ class PointIntegral:
                 element(*common, sites.rows, inputs, *slots, result)
             yield groups, result
 
-    def point_tensors(self) -> npt.NDArray[np.float64]:
-        """Kernel's output at each selected point, ``(n, *kernel.shape)``, in group order."""
+    def point_tensors(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
+        """Kernel's output at the selected points, a batch at a time.
+
+        Yields:
+            Storage indices ``(n,)`` of the points and tensors ``(n, *kernel.shape)``.
+        """
         self.refresh()
-        n = len(self.sites.rows)
         if self.kernel is None:
-            return np.zeros((n, 0))
+            return
         inputs_at = self._inputs(self.sites)
-        result = np.zeros((n, int(np.prod(self.kernel.shape, dtype=int))))
+        size = int(np.prod(self.kernel.shape, dtype=int))
         for batch in self.sites.batches():
-            loops.evaluate_points(self.kernel.address, inputs_at(batch), result[batch[1]])
-        return result.reshape(n, *self.kernel.shape)
+            rows = self.sites.order[batch[1]]
+            result = np.zeros((len(rows), size))
+            loops.evaluate_points(self.kernel.address, inputs_at(batch), result)
+            yield rows, result.reshape(len(rows), *self.kernel.shape)
+        self.sites.forget_tables()  # points usually move after an evaluation
 
     def _inputs(self, sites: Sites) -> Callable[[Slices], npt.NDArray[np.float64]]:
         """Function of a batch that returns the kernel's inputs there."""

@@ -59,6 +59,11 @@ class Sites:
         self._tables: dict[int, SlotTable] = {}
         self._averages: dict[int, SlotTable] = {}
 
+    def forget_tables(self) -> None:
+        """To be called after a last use, so that tables of old positions do not stay in memory."""
+        self._tables = {}
+        self._averages = {}
+
     def forget_averages(self) -> None:
         """To be called before each use: weights may change at any time."""
         self._averages = {}

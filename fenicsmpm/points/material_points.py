@@ -369,17 +369,37 @@ class MaterialPoints:
     def _rows(self, which: npt.NDArray) -> dict[str, npt.NDArray]:
         return {name: a[which] for name, a in self._data.items()}
 
-    def snapshot(self) -> dict[str, npt.NDArray]:
-        """Copies of all arrays on this rank, to be given to `restore`."""
-        return {name: a.copy() for name, a in self._data.items()}
+    def assign(self, fields: Mapping[str, npt.NDArray[np.float64]]) -> None:
+        """Give fields new arrays, without copying them; the old arrays stay as they are.
+
+        Args:
+            fields: Arrays of shape (n, *value_shape) by name; also "weight".
+
+        Raises:
+            ValueError: For arrays of another shape, and weights that are not positive and finite.
+        """
+        for name, array in fields.items():
+            if array.shape != self[name].shape or name in _READ_ONLY:
+                raise ValueError(f"an array of shape {array.shape} cannot become field '{name}'")
+            if name == "weight":
+                check_weight(array)
+        self._data.update(fields)
+
+    def snapshot(self, copy: bool = True) -> dict[str, npt.NDArray]:
+        """All arrays on this rank, to be given to `restore`.
+
+        Args:
+            copy: False for the arrays themselves, if nobody changes them in place.
+        """
+        return {name: a.copy() if copy else a for name, a in self._data.items()}
 
     def restore(self, snapshot: Mapping[str, npt.NDArray]) -> None:
         """Go back to what the points were at a snapshot, cells, ranks and fields. Collective.
 
         Args:
-            snapshot: Of these points; not changed, so that it can be used again.
+            snapshot: Of these points; its arrays become theirs.
         """
-        self._replace({name: a.copy() for name, a in snapshot.items()})
+        self._replace(dict(snapshot))
         self.size_global = self._comm.allreduce(len(self))
 
     def _replace(self, data: dict[str, npt.NDArray]) -> None:
