@@ -180,8 +180,7 @@ class ImplicitMPM:
             points.assign(fields)
             removed += move(points, points.x + increment, self.on_exit)
         for body in self.bodies:
-            J = np.linalg.det(body["F"])
-            body.assign({"J": J, "weight": body["V_0"] * J})
+            body.assign({"weight": body["V_0"] * body["J"]})
             if self.adapt is not None:
                 self.adapt(body)
         return removed
@@ -298,7 +297,7 @@ class ImplicitMPM:
         if points in self.bodies:
             others = zip(_PARTS[1:], parts(self.U)[1:], strict=False)
             k = Kinematics(increment, points)
-            fields |= {"F": k.F, **dict(others)}
+            fields |= {"F": k.F, "J": k.J, **dict(others)}
             fields |= self.scheme.updates(points)
             if self.taylor:
                 fields["grad_v"] = k.grad(self.scheme.grid_velocity())

@@ -54,6 +54,5 @@ def filled_fractions(body: MaterialPoints) -> npt.NDArray[np.float64]:
         body: material points with volumes as weights [m^d].
     """
     geometry = cell_geometry(body.mesh)
-    n = geometry.num_owned
-    volume = geometry.volume(np.arange(n, dtype=np.int32))
-    return np.bincount(body.cell, body.weight, minlength=n) / volume
+    filled = np.bincount(body.cell, body.weight, minlength=geometry.num_owned)
+    return filled / geometry.owned_volumes

@@ -2,6 +2,7 @@
 """The map from the reference cell to the cells of a mesh with straight edges, for all cells."""
 
 import weakref
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -137,6 +138,11 @@ class CellGeometry:
     ) -> npt.NDArray[np.float64]:
         """|det dx/dxi| at reference coordinates `xi` (n, d) in `cells` (n,)."""
         return np.abs(np.linalg.det(self.jacobian(cells, xi)))
+
+    @cached_property
+    def owned_volumes(self) -> npt.NDArray[np.float64]:
+        """Volumes of the owned cells in m^d, computed once."""
+        return self.volume(np.arange(self.num_owned, dtype=np.int32))
 
     def volume(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
         """Volumes of `cells` in m^d, exact up to round-off."""
