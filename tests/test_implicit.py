@@ -113,7 +113,7 @@ def test_projection_of_linear_fields():
     project([body], "v", v)
     plain = v.x.array.reshape(-1, 2)[near]
     error = body.mesh.comm.allreduce(float(np.abs(plain - exact[near]).max(initial=0)), MPI.MAX)
-    assert 0.01 < error < 0.5  # at the boundary, a share of the cell size
+    assert 0.01 < error < 1.0  # at the boundary, where cells of 1/6 m are half full
 
 
 def test_spin_with_linear_continuation():
