@@ -195,6 +195,24 @@ def test_lattice_on_facets_is_not_doubled():
     np.testing.assert_array_equal(x[np.lexsort(x.T)], serial.x[np.lexsort(serial.x.T)])
 
 
+@pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
+@pytest.mark.parametrize("ghosts", [dmesh.GhostMode.none, dmesh.GhostMode.shared_facet])
+def test_points_on_facets_lie_in_the_same_cells_on_any_number_of_ranks(kind, ghosts):
+    """Points on vertices, edges and facets: all cells at a vertex compete for it."""
+    side = [4] * (3 if kind in (CellType.tetrahedron, CellType.hexahedron) else 2)
+    make = dmesh.create_box if len(side) == 3 else dmesh.create_rectangle
+    lower, upper = np.zeros(len(side)), np.ones(len(side))
+    x = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * len(side)), axis=-1).reshape(-1, len(side))
+
+    def cells(comm):
+        mesh = make(comm, [lower, upper], side, kind, ghost_mode=ghosts)
+        points = MaterialPoints(mesh, x if comm.rank == 0 else x[:0], 1.0)
+        key = np.array(mesh.topology.original_cell_index)[points.cell]
+        return dict(zip(gathered(points, points.id), gathered(points, key), strict=True))
+
+    assert cells(WORLD) == cells(MPI.COMM_SELF)
+
+
 def test_lattice_of_a_bent_mesh_approaches_its_volume():
     mesh = box(CellType.quadrilateral, bent=True, n=6)
     volume = integral(mesh)

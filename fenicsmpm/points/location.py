@@ -6,8 +6,8 @@ the most negative barycentric coordinate, on other cells in that cell only. What
 looked for in the bins (`fenicsmpm.points.bins`), which are the cells on regular lattices.
 
 A point on a facet, edge or vertex belongs to the containing cell of lowest number (index in the
-mesh as it was input). That does not depend on where the walk starts, and not on the number of ranks
-except where that cell is not visible to the rank.
+mesh as it was input). That does not depend on where the walk starts, but that cell may be on a rank
+that this one does not see: `Locator.is_sure`.
 """
 
 import weakref
@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import numpy.typing as npt
+from dolfinx import la
 from dolfinx.mesh import Mesh
 
 from fenicsmpm.points.agreement import raise_together
@@ -71,6 +72,7 @@ class Locator:
         self._cells = _Cells(
             a, inverse, tolerance, lower, upper, self.geometry.key, _neighbours(mesh)
         )
+        self._surrounded = _surrounded(mesh)
         lattice = lattice_bins(a)
         self.is_lattice = lattice is not None
         self._bins = lattice if lattice is not None else make_bins(lower, upper)
@@ -96,6 +98,23 @@ class Locator:
         else:
             cell[:] = -1
         return cell, xi
+
+    def is_sure(
+        self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
+        """Whether points located at xi (n, d) in cells (n,) are in no cell that only others see.
+
+        False for cell -1. Points inside of a cell are sure, as are those on facets if all cells
+        that touch theirs are on this rank.
+        """
+        sure = cells >= 0
+        sure[sure] = self._surrounded[cells[sure]]
+        open_ = np.flatnonzero((cells >= 0) & ~sure)
+        at = xi[open_]
+        highest = at.sum(axis=1) if self.geometry.is_simplex else at.max(axis=1)
+        margin = np.minimum(at.min(axis=1), 1.0 - highest)
+        sure[open_] = margin > 2 * self._cells.tolerance[cells[open_]]
+        return sure
 
     def pull_back(
         self, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
@@ -160,6 +179,21 @@ def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
     both[inner] = to_cells.array[first[inner]] + to_cells.array[first[inner] + 1].astype(np.int64)
     own = np.arange(len(facets))[:, None]
     return np.where(inner[facets], both[facets] - own, -1).astype(np.int32)
+
+
+def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_]:
+    """Whether all cells that touch a cell are on this rank, shape (cells,). Collective."""
+    topology = mesh.topology
+    cells = topology.index_map(topology.dim)
+    corners = topology.connectivity(topology.dim, 0).array
+    per_cell = len(corners) // max(cells.size_local + cells.num_ghosts, 1)
+    everywhere = la.vector(topology.index_map(0))
+    n = len(everywhere.array)
+    everywhere.array[:] = np.bincount(corners[: cells.size_local * per_cell], minlength=n)
+    everywhere.scatter_reverse(la.InsertMode.add)
+    everywhere.scatter_forward()
+    complete = np.bincount(corners, minlength=n) == everywhere.array
+    return complete[corners].reshape(-1, max(per_cell, 1)).all(axis=1)
 
 
 @numba.njit(cache=True)

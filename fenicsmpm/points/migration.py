@@ -63,13 +63,15 @@ def find_cells(
         PointsOutsideError: On all ranks, if some point is in no cell of the mesh.
     """
     cell, xi = locator.locate(x, hint)
-    missing = np.flatnonzero(cell < 0)
     global_cell = np.full(len(x), -1, dtype=np.int64)
     found = cell >= 0
     global_cell[found] = locator.geometry.global_index[cell[found]]
+    unsure = np.flatnonzero(~locator.is_sure(cell, xi))
     # Nothing more to do in most time steps: one reduction of one number.
-    if comm.allreduce(len(missing)):
-        global_cell[missing] = _find_elsewhere(comm, locator, x[missing])
+    if comm.allreduce(len(unsure)):
+        better = _find_elsewhere(comm, locator, x[unsure])
+        cell[unsure[better != global_cell[unsure]]] = -1
+        global_cell[unsure] = better
         outside = np.flatnonzero(global_cell < 0)
         _raise_outside(comm, len(x), outside, x[outside])
     return global_cell, cell, xi
