@@ -88,6 +88,21 @@ def check_fields(comm: MPI.Comm, data: Mapping[str, npt.NDArray]) -> ValueError 
     return None
 
 
+def check_same_fields(mine: Mapping[str, npt.NDArray], theirs: Mapping[str, npt.NDArray]) -> None:
+    """Raise a ValueError unless two point sets have arrays of the same names and row shapes."""
+    first, second = ({(name, a.shape[1:]) for name, a in data.items()} for data in (mine, theirs))
+    if first != second:
+        raise ValueError(
+            f"points with {_listed(second - first)} cannot be added to points with "
+            f"{_listed(first - second)}: the fields must be the same"
+        )
+
+
+def _listed(fields: set[tuple[str, tuple[int, ...]]]) -> str:
+    names = ", ".join(f"'{name}' of shape {shape}" for name, shape in sorted(fields))
+    return f"a field {names}" if names else "none of these"
+
+
 def check_selection(
     which: npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
     x: npt.NDArray[np.float64],

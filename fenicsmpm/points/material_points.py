@@ -17,12 +17,13 @@ from fenicsmpm.points.checks import (
     check_fields,
     check_input,
     check_positions,
+    check_same_fields,
     check_selection,
     check_weight,
 )
 from fenicsmpm.points.description import describe
 from fenicsmpm.points.location import locator
-from fenicsmpm.points.migration import exchange, find_cells, owners
+from fenicsmpm.points.migration import find_cells, send_home
 from fenicsmpm.points.point_field import PointField
 from fenicsmpm.points.sorting import sort_by_cell
 
@@ -308,13 +309,7 @@ class MaterialPoints:
             raise ValueError(
                 "points on another mesh cannot be added: put them on this one with from_mesh first"
             )
-        mine = {name: self.field_shape(name) for name in self.field_names}
-        theirs = {name: other.field_shape(name) for name in other.field_names}
-        if mine != theirs:
-            raise ValueError(
-                f"points with fields {theirs} cannot be added to points with fields {mine}: "
-                "add_field what is missing"
-            )
+        check_same_fields(self._data, other._data)
         n = len(other)
         ids = self.next_id + (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         new = {**other._data, "id": ids}
@@ -409,18 +404,7 @@ class MaterialPoints:
 
     def _settle(self, global_cell: npt.NDArray[np.int64]) -> None:
         """Send the points that lie in cells of other ranks there. Collective."""
-        geometry, data = self._locator.geometry, self._data
-        stays = (data["cell"] >= 0) & (data["cell"] < geometry.num_owned)
-        leaving = np.flatnonzero(~stays)
-        if self._comm.allreduce(len(leaving)):
-            sent = {name: a[leaving] for name, a in data.items()}
-            sent["global_cell"] = global_cell[leaving]
-            to = owners(self._comm, self._locator, sent["global_cell"])
-            new = exchange(self._comm, to, sent)
-            new["cell"] = (new.pop("global_cell") - geometry.first_global).astype(np.int32)
-            new["xi"] = self._locator.pull_back(new["x"], new["cell"])
-            data = {name: np.concatenate([a[stays], new[name]]) for name, a in data.items()}
-        self._replace(data)
+        self._replace(send_home(self._comm, self._locator, global_cell, self._data))
 
     def __repr__(self) -> str:
         """Numbers of this rank (printing on one rank only must not wait for the others)."""

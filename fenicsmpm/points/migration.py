@@ -114,12 +114,42 @@ def _raise_outside(
         raise PointsOutsideError(count, total, first, indices, positions)
 
 
-def owners(
+def _owners(
     comm: MPI.Intracomm, locator: Locator, global_cell: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int32]:
     """Ranks that own the given global cells, shape (n,). Collective."""
     starts = np.array(comm.allgather(locator.geometry.first_global))
     return (np.searchsorted(starts, global_cell, side="right") - 1).astype(np.int32)
+
+
+def send_home(
+    comm: MPI.Intracomm,
+    locator: Locator,
+    global_cell: npt.NDArray[np.int64],
+    data: dict[str, npt.NDArray],
+) -> dict[str, npt.NDArray]:
+    """Send points that lie in cells of other ranks there, with all their arrays. Collective.
+
+    Args:
+        comm: Communicator of the mesh.
+        locator: Of this rank's part of the mesh.
+        global_cell: Cells of this rank's points, shape (n,).
+        data: Arrays of n rows, among them "x", "xi" and the local "cell" (-1 if on another rank).
+
+    Returns:
+        Arrays of the points in cells that this rank owns.
+    """
+    geometry = locator.geometry
+    stays = (data["cell"] >= 0) & (data["cell"] < geometry.num_owned)
+    leaving = np.flatnonzero(~stays)
+    if not comm.allreduce(len(leaving)):
+        return data
+    sent = {name: a[leaving] for name, a in data.items()}
+    sent["global_cell"] = global_cell[leaving]
+    new = exchange(comm, _owners(comm, locator, sent["global_cell"]), sent)
+    new["cell"] = (new.pop("global_cell") - geometry.first_global).astype(np.int32)
+    new["xi"] = locator.pull_back(new["x"], new["cell"])
+    return {name: np.concatenate([a[stays], new[name]]) for name, a in data.items()}
 
 
 def exchange(
