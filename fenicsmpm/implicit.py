@@ -133,11 +133,9 @@ class ImplicitMPM:
 
     def map_to_grid(self) -> None:
         """P2G: histories of the scheme, pressure and projections, by lumped mass."""
-        for name, function in self.scheme.histories.items():
-            slope = "grad_v" if self.taylor and name == "v" else None
-            project(self.bodies, name, function, gradient=slope)
-        for name, function in zip(_PARTS[1:], self._nodal, strict=False):
-            project(self.bodies, name, function)
+        nodal = dict(zip(_PARTS[1:], self._nodal, strict=False))
+        slopes = {"v": "grad_v"} if self.taylor else {}
+        project(self.bodies, {**self.scheme.histories, **nodal}, gradients=slopes)
 
     def predict(self) -> None:
         """Start Newton's method from the old pressure and a motion that goes on as it was.

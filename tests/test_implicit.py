@@ -105,12 +105,12 @@ def test_projection_of_linear_fields():
     body["grad_v"] = A
     v = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
     exact = v.function_space.tabulate_dof_coordinates()[:, :2] @ A.T + b
-    project([body], "v", v, gradient="grad_v")
+    project([body], {"v": v}, gradients={"v": "grad_v"})
     nodes = v.x.array.reshape(-1, 2)
     near = np.abs(nodes).max(axis=1) > 0
     assert body.mesh.comm.allreduce(int(near.sum())) > 30
     assert nodes[near] == pytest.approx(exact[near], abs=1e-11)
-    project([body], "v", v)
+    project([body], {"v": v})
     plain = v.x.array.reshape(-1, 2)[near]
     error = body.mesh.comm.allreduce(float(np.abs(plain - exact[near]).max(initial=0)), MPI.MAX)
     assert 0.01 < error < 1.0  # at the boundary, where cells of 1/6 m are half full

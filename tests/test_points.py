@@ -293,7 +293,7 @@ def test_add_select_remove_and_copy():
     x = cloud(90, 2)
     a = MaterialPoints(mesh, x[:50][WORLD.rank :: WORLD.size], 1.0, tag=1)
     b = MaterialPoints(mesh, x[50:][WORLD.rank :: WORLD.size], 2.0, tag=2)
-    with pytest.raises(ValueError, match="add_field what is missing"):
+    with pytest.raises(ValueError, match="the fields must be the same"):
         a.add_field("v", (2,), a.x)
         a.add(b)
     b.add_field("v", (2,), b.x)

@@ -11,7 +11,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm import _compat
 from fenicsmpm.basis.stencil import derivative_rows
 
 if TYPE_CHECKING:
@@ -24,13 +23,14 @@ class LagrangeStencil:
     Tables are kept until the points move, per element and order of derivatives.
 
     Args:
-        points: the point set, or another object with its mesh, cell, xi, order and version.
+        points: the point set, or another object with its mesh, geometry, cell, xi, order, version.
     """
 
     def __init__(self, points: Any) -> None:
         """Create an empty cache; nothing is tabulated yet."""
         # A strong reference would keep the points alive as key of the stencil registry.
         self._points: weakref.ref[MaterialPoints] = weakref.ref(points)
+        self._geometry = points.geometry
         self._version = -1
         self._tables: dict[tuple[int, int], npt.NDArray[np.float64]] = {}
 
@@ -63,9 +63,15 @@ class LagrangeStencil:
 
     def jacobian(self) -> npt.NDArray[np.float64]:
         """``(n_points, d, d)`` dx/dxi at the points, in m, in the order of cells."""
-        dim = self.points.mesh.geometry.dim
-        reference, nodes = self._tabulate_geometry(1)
-        return np.einsum("kpa,pai->pik", reference[1 : dim + 1], nodes, optimize=True)
+        if self._geometry.is_simplex:
+            return self._geometry.centre_jacobian[self._cells()]
+        return self._geometry.jacobian(self._cells(), self.points.xi[self.points.order])
+
+    def inverse_jacobian(self) -> npt.NDArray[np.float64]:
+        """``(n_points, d, d)`` dxi/dx at the points, in 1/m, in the order of cells."""
+        if self._geometry.is_simplex:
+            return self._geometry.centre_inverse[self._cells()]
+        return np.asarray(np.linalg.inv(self.jacobian()), dtype=np.float64)
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Values and derivatives of a scalar element's functions at the points.
@@ -98,14 +104,6 @@ class LagrangeStencil:
             return element.tabulate(derivatives, np.zeros((1, xi.shape[1])))[:, :0, :, 0]
         return element.tabulate(derivatives, xi)[..., 0]
 
-    def _tabulate_geometry(self, derivatives: int) -> tuple[npt.NDArray[np.float64], Any]:
-        mesh = self.points.mesh
-        element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
-        reference = self._tabulate_reference(element, derivatives)
-        dim = mesh.geometry.dim
-        nodes = mesh.geometry.x[_compat.geometry_dofmap(mesh)[self._cells()], :dim]
-        return reference, nodes
-
     def _tabulate(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         dim = self.points.mesh.geometry.dim
         reference = self._tabulate_reference(element, derivatives)
@@ -113,7 +111,7 @@ class LagrangeStencil:
         table = np.empty((n_points, derivative_rows(derivatives, dim), n_nodes))
         table[:, 0, :] = reference[0]
         if derivatives > 0:
-            inverse = np.linalg.inv(self.jacobian())
+            inverse = self.inverse_jacobian()
             _push_forward_gradients(reference[1 : dim + 1], inverse, table)
             if derivatives > 1:
                 second = reference[_second_derivatives(dim)]
@@ -122,9 +120,12 @@ class LagrangeStencil:
 
     def _map_curvature(self) -> npt.NDArray[np.float64]:
         """``(n_points, d, d, d)`` second derivatives x_m,kl of the cell map; zero if affine."""
-        dim = self.points.mesh.geometry.dim
-        reference, nodes = self._tabulate_geometry(2)
-        return np.einsum("klpa,pam->pmkl", reference[_second_derivatives(dim)], nodes)
+        mesh = self.points.mesh
+        element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
+        directions = _second_derivatives(mesh.geometry.dim)
+        second = self._tabulate_reference(element, 2)[directions]
+        nodes = self._geometry.corners[self._cells()]
+        return np.einsum("klpa,pam->pmkl", second, nodes)
 
 
 def _second_derivatives(dim: int) -> npt.NDArray[np.int64]:

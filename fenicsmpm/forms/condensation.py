@@ -20,10 +20,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm import _compat
 from fenicsmpm.basis import LagrangeStencil
 from fenicsmpm.forms.sites import Sites
 from fenicsmpm.forms.slots import SIMPLICES
+from fenicsmpm.points import MaterialPoints
 
 # Highest degree of interest: an input, a test and a trial function, all linear
 MAX_DEGREE = 3
@@ -48,7 +48,7 @@ class CondensedPoints:
     grid functions need.
 
     Args:
-        mesh: dolfinx mesh.
+        points: those that they stand for.
         cell: ``(n,)`` cells of the sites, in ascending order.
         xi: ``(n, d)`` reference positions.
         weight: ``(n,)`` weights in m^d, any sign.
@@ -58,17 +58,16 @@ class CondensedPoints:
 
     def __init__(
         self,
-        mesh: Any,
+        points: MaterialPoints,
         cell: npt.NDArray[np.int32],
         xi: npt.NDArray[np.float64],
         weight: npt.NDArray[np.float64],
     ) -> None:
         """Find the positions."""
-        self.mesh, self.cell, self.xi, self.weight = mesh, cell, xi, weight
+        self.mesh, self.geometry = points.mesh, points.geometry
+        self.cell, self.xi, self.weight = cell, xi, weight
         self.order = np.arange(len(cell))
-        corners = mesh.geometry.x[_compat.geometry_dofmap(mesh)[cell], : xi.shape[1]]
-        edges = corners[:, 1:] - corners[:, :1]
-        self.x = corners[:, 0] + np.einsum("nk,nki->ni", xi, edges)
+        self.x = self.geometry.push_forward(cell, xi)
 
     def __len__(self) -> int:
         """Number of sites on this rank."""
@@ -114,7 +113,7 @@ class Condensation:
         else:
             per_cell, weight = self._element.dim, moments.ravel()
             xi = np.tile(self._element.points, (len(groups), 1))
-        few = CondensedPoints(self._all.points.mesh, np.repeat(groups, per_cell), xi, weight)
+        few = CondensedPoints(self._all.points, np.repeat(groups, per_cell), xi, weight)
         offsets = per_cell * np.arange(len(groups) + 1)
         return Sites(few, LagrangeStencil(few), few.order, groups, offsets)
 

@@ -67,9 +67,12 @@ class PointExpression:
         columns = self._integral.lowered.arguments[0].used // layout.n_rows
         size = int(np.prod(self.shape, dtype=int))
         for rows, tensors in self._integral.point_tensors():
-            values = np.zeros((len(rows), size))
-            values[:, columns] = tensors
-            yield rows, values
+            if len(columns) == size:
+                yield rows, tensors
+            else:
+                values = np.zeros((len(rows), size))
+                values[:, columns] = tensors
+                yield rows, values
 
     def evaluate(self) -> npt.NDArray[np.float64]:
         """Values now, ``(n_points, *shape)`` in the points' storage order."""

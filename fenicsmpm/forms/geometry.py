@@ -36,13 +36,12 @@ def geometry_values(
     name = type(quantity).__name__
     if name == "SpatialCoordinate":
         return points.x[order]
-    jacobian = stencil.jacobian()[rows]
     if name == "Jacobian":
-        values = jacobian
+        values = stencil.jacobian()[rows]
     elif name == "JacobianInverse":
-        values = np.linalg.inv(jacobian)
+        values = stencil.inverse_jacobian()[rows]
     else:
-        values = np.linalg.det(jacobian)
+        values = np.linalg.det(stencil.jacobian()[rows])
     return values.reshape(len(rows), int(np.prod(values.shape[1:], dtype=int)))
 
 

@@ -82,9 +82,10 @@ class PointIntegral:
 
     def _select(self, tags: npt.NDArray[np.int32] | None) -> None:
         order, all_offsets = self.stencil.order, self.stencil.offsets
-        selected = slice(None) if tags is None else tags[order] == self.tag
-        rows = np.arange(len(order))[selected]
-        counts = np.searchsorted(rows, all_offsets)
+        rows, counts = np.arange(len(order)), all_offsets
+        if tags is not None:
+            selected = tags[order] == self.tag
+            rows, counts = rows[selected], np.append(0, np.cumsum(selected))[all_offsets]
         groups = np.flatnonzero(np.diff(counts)).astype(np.int32)
         offsets = np.append(counts[groups], len(rows)).astype(np.int64)
         self.sites = Sites(self.points, self.stencil, rows, groups, offsets)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numba
@@ -25,20 +25,20 @@ def p2g(
 
     Args:
         points: the point set.
-        values: ``(n_points,)`` or ``(n_points, block size)`` in storage order, such as the weights.
-        space: Lagrange space on the points' mesh, scalar or blocked.
+        values: ``(n_points,)`` or ``(n_points, size)`` in storage order, such as the weights.
+        space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are taken.
         least: what functions that are smaller than this in absolute value are taken for.
 
     Returns:
-        Vector of the space, summed over all ranks, ghosts up to date (collective).
+        Vector with ``size`` numbers a node, summed over all ranks, ghosts up to date (collective).
     """
     stencil = stencil_of(points)
-    bs = space.dofmap.index_map_bs
-    result = la.vector(space.dofmap.index_map, bs)
+    size = 1 if values.ndim == 1 else values.shape[1]
+    result = la.vector(space.dofmap.index_map, size)
     result.array[:] = 0.0
     table = stencil.table(_scalar_element(space), 0)
-    rows = values.reshape(len(points), bs)[stencil.order]
-    nodes = result.array.reshape(-1, bs)
+    rows = values.reshape(len(points), size)[stencil.order]
+    nodes = result.array.reshape(-1, size)
     _scatter(rows, table[:, 0, :], stencil.offsets, stencil.dofs(space), least, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
@@ -47,13 +47,12 @@ def p2g(
 
 def project(
     point_sets: Sequence[MaterialPoints],
-    name: str,
-    function: fem.Function,
+    functions: Mapping[str, fem.Function],
     *,
-    gradient: str | None = None,
+    gradients: Mapping[str, str] | None = None,
     mass: str = "mass",
 ) -> None:
-    """Mass-weighted lumped projection of a field to the grid (VMS, algorithm 1, line 7).
+    """Mass-weighted lumped projection of fields to the grid (VMS, algorithm 1, line 7).
 
     ``f_I = sum_p N_I(x_p) m_p f_p / m_I`` with ``m_I = sum_p N_I(x_p) m_p``; zero at nodes
     without mass. With the field's gradient, f_p is first continued to the node,
@@ -61,36 +60,52 @@ def project(
     too (Nakamura, Matsumura, Mizutani, CMAME 410, 2023). Collective.
 
     Args:
-        point_sets: bodies that have the field.
-        name: of the field.
-        function: of a Lagrange space, scalar or blocked like the field's values.
-        gradient: name of a field of gradients ``(*value_shape, d)`` [1/m], or None.
+        point_sets: bodies that have the fields.
+        functions: by the field's name, of Lagrange spaces, scalar or blocked like its values.
+        gradients: names of fields of gradients ``(*value_shape, d)`` [1/m], by the field's name.
         mass: name of the field of masses, or "weight" for volumes.
     """
-    space = function.function_space
-    # A node that points see by round-off only has a mass of any sign. With this share instead it
-    # gets a mean of what is near.
-    least = 1e-12
-    total = fem.Function(space).x.array
-    nodal = np.zeros_like(total)
-    for points in point_sets:
-        weights = points[mass].reshape(len(points), 1)
-        values = points[name].reshape(len(points), space.dofmap.index_map_bs)
-        if gradient is not None:
-            slopes = points[gradient].reshape(*values.shape, points.x.shape[1])
-            values = values - np.einsum("pck,pk->pc", slopes, points.x)
-            for k, x in enumerate(_nodes(space)):
-                total += x * p2g(points, weights * slopes[..., k], space, least).array
-        total += p2g(points, weights * values, space, least).array
-        masses = np.broadcast_to(weights, values.shape)
-        nodal += p2g(points, masses, space, least).array
-    function.x.array[:] = np.divide(total, nodal, out=np.zeros_like(total), where=nodal > 0)
+    gradients = gradients or {}
+    spaces = {id(f.function_space): f.function_space for f in functions.values()}
+    for key, space in spaces.items():
+        fields = {name: f for name, f in functions.items() if id(f.function_space) == key}
+        slopes = {name: gradients[name] for name in fields if name in gradients}
+        # A node that points see by round-off only has a mass of any sign. With this share instead
+        # it gets a mean of what is near.
+        sums = sum(
+            p2g(points, _columns(points, fields, slopes, mass), space, least=1e-12).array
+            for points in point_sets
+        )
+        dim, size = space.mesh.geometry.dim, space.dofmap.index_map_bs
+        blocks = len(fields) + dim * len(slopes)
+        nodes = np.reshape(sums, (-1, 1 + blocks * size))
+        masses, totals = nodes[:, 0], nodes[:, 1:].reshape(-1, blocks, size)
+        if slopes:
+            x = space.tabulate_dof_coordinates()[:, :dim, None]
+        for k, name in enumerate(slopes):
+            first = len(fields) + k * dim
+            totals[:, list(fields).index(name)] += (x * totals[:, first : first + dim]).sum(axis=1)
+        per_mass = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
+        for k, function in enumerate(fields.values()):
+            function.x.array[:] = (totals[:, k] * per_mass[:, None]).ravel()
 
 
-def _nodes(space: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """``(d, n_dofs)`` coordinates of the unrolled local dofs [m]."""
-    x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
-    return np.repeat(x, space.dofmap.index_map_bs, axis=0).T
+def _columns(
+    points: MaterialPoints, names: Iterable[str], slopes: Mapping[str, str], mass: str
+) -> npt.NDArray[np.float64]:
+    """``(n_points, size)``: mass, then m f less m G x of each field, then m G_k of those with G."""
+    n, dim = points.x.shape
+    values: dict[str, npt.NDArray[np.float64]] = {
+        name: points[name].reshape(n, -1) for name in names
+    }
+    steep = []
+    for name, slope in slopes.items():
+        G = points[slope].reshape(*values[name].shape, dim)
+        values[name] = values[name] - (G @ points.x[..., None])[..., 0]
+        steep += [G[..., k] for k in range(dim)]
+    columns = np.concatenate([np.ones((n, 1)), *values.values(), *steep], axis=1)
+    columns *= points[mass][:, None]
+    return columns
 
 
 def _scalar_element(space: fem.FunctionSpace) -> Any:

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from fenicsmpm import _compat
 from fenicsmpm.mapping.active_cells import ActiveCells, nodes_of
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.geometry import cell_geometry
 
 # Volume of points per volume of a full cell, beyond which there is a hole or a pile of points
 _LEAST, _MOST = 0.5, 1.5
@@ -53,6 +52,6 @@ def filled_fractions(body: MaterialPoints) -> npt.NDArray[np.float64]:
     Args:
         body: material points with volumes as weights [m^d].
     """
-    geometry = cell_geometry(body.mesh)
+    geometry = body.geometry
     filled = np.bincount(body.cell, body.weight, minlength=geometry.num_owned)
     return filled / geometry.owned_volumes

@@ -133,6 +133,18 @@ class CellGeometry:
         gradients = monomial_gradients(xi, self.coefficients.shape[1])
         return np.einsum("pkj,pki->pij", gradients, self.coefficients[cells])
 
+    @cached_property
+    def centre_jacobian(self) -> npt.NDArray[np.float64]:
+        """dx/dxi at the centres of all cells, shape (cells, d, d); in simplices it is constant."""
+        centre = 1.0 / (self.dim + 1) if self.is_simplex else 0.5
+        cells = np.arange(self.num_cells, dtype=np.int32)
+        return self.jacobian(cells, np.full((self.num_cells, self.dim), centre))
+
+    @cached_property
+    def centre_inverse(self) -> npt.NDArray[np.float64]:
+        """Inverses of `centre_jacobian`."""
+        return np.asarray(np.linalg.inv(self.centre_jacobian), dtype=np.float64)
+
     def determinant(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:

@@ -57,12 +57,10 @@ class Locator:
             ValueError: For a mesh of unsupported cells.
         """
         self.geometry = cell_geometry(mesh)
-        a, corners, d = self.geometry.coefficients, self.geometry.corners, self.geometry.dim
-        centre = np.full((len(a), d), 1.0 / (d + 1) if self.geometry.is_simplex else 0.5)
-        jacobian = self.geometry.jacobian(np.arange(len(a), dtype=np.int32), centre)
-        flat = np.flatnonzero(np.linalg.det(jacobian) == 0.0)
+        a, corners = self.geometry.coefficients, self.geometry.corners
+        flat = np.flatnonzero(np.linalg.det(self.geometry.centre_jacobian) == 0.0)
         raise_together(mesh.comm, _flat_cells(flat, corners) if len(flat) else None)
-        inverse = np.asarray(np.linalg.inv(jacobian), dtype=np.float64)
+        inverse = self.geometry.centre_inverse
         # Coordinates carry round-off relative to their own size, not to that of the cell.
         scale = np.abs(inverse).sum(axis=2).max(axis=1) * np.abs(corners).max(axis=(1, 2))
         tolerance = _TOLERANCE + 16 * np.finfo(float).eps * scale

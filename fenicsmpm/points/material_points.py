@@ -42,6 +42,7 @@ class MaterialPoints:
 
     Attributes:
         mesh: The background mesh, which does not move.
+        geometry: Shapes of its cells.
         version: Grows whenever positions, cells, order or number of the points change.
         size_global: Number of points on all ranks.
         next_id: Id of the next point that is added.
@@ -83,6 +84,7 @@ class MaterialPoints:
         """
         self.mesh = mesh
         self._locator = locator(mesh)
+        self.geometry = self._locator.geometry
         error, data = check_input(self._locator, x, weight, cells, xi, tag, fields, _BUILT_IN)
         raise_together(self._comm, error)
         raise_together(self._comm, check_fields(self._comm, data))
@@ -95,7 +97,7 @@ class MaterialPoints:
         self.next_id = self.size_global
         data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         if "xi" in data:
-            global_cell = self._locator.geometry.global_index[data["cell"]]
+            global_cell = self.geometry.global_index[data["cell"]]
         else:
             global_cell, data["cell"], data["xi"] = find_cells(
                 self._comm, self._locator, data["x"], data.get("cell")
@@ -262,7 +264,7 @@ class MaterialPoints:
 
     def _sorted(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         if self._order is None:
-            self._order = sort_by_cell(self._data["cell"], self._locator.geometry.num_cells)
+            self._order = sort_by_cell(self._data["cell"], self.geometry.num_cells)
         return self._order
 
     def sort(self) -> None:
@@ -286,7 +288,7 @@ class MaterialPoints:
             PointsOutsideError: On all ranks, if some position is in no cell of the mesh.
         """
         error, positions = check_positions(x, self._data["x"].shape[1], len(self))
-        if self._locator.geometry.has_moved(self.mesh):
+        if self.geometry.has_moved(self.mesh):
             error = ValueError(
                 "the nodes of the background mesh have moved since the points were located in it: "
                 "make new MaterialPoints from their positions"
