@@ -216,7 +216,7 @@ def plot(path, histories):
     ax.set_xlabel("t [s]")
     ax.set_ylabel("vertical displacement of the tip [m]")
     ax.grid(alpha=0.3)
-    ax.legend()
+    figure.legend(loc="outside upper center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=160)
 

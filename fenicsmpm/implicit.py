@@ -250,7 +250,8 @@ class ImplicitMPM:
                 if self.next_dt / 2 < smallest * self._dt:
                     raise
                 self.next_dt, attempts = self.next_dt / 2, attempts + 1
-                logger.warning("step %d halved to %g s: %s", self.number + 1, self.next_dt, error)
+                why = str(error).partition(";")[0]
+                logger.warning("step %d halved to %g s: %s", self.number + 1, self.next_dt, why)
                 continue
             step.attempts, attempts = attempts, 1
             self.next_dt = min(2 * self.next_dt, self._dt)

@@ -31,6 +31,24 @@ def set_initial_state(
     Raises:
         ValueError: for a density that is not positive and finite.
     """
+    add_motion(points, density, velocity)
+    dim = points.mesh.geometry.dim
+    points.add_field("grad_v", (dim, dim))
+    if velocity is not None:
+        points["grad_v"] = _gradient(velocity, points.x)
+    points.add_field("a", (dim,))
+    points.add_field("p")
+
+
+def add_motion(
+    points: MaterialPoints,
+    density: float,
+    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None,
+) -> None:
+    """Give undeformed points what every moving body has: mass, V_0, F, J, u and v.
+
+    Arguments and errors are those of ``set_initial_state``.
+    """
     if not 0 < density < np.inf:
         raise ValueError(f"the density must be positive and finite: {density}")
     dim = points.mesh.geometry.dim
@@ -40,12 +58,8 @@ def set_initial_state(
     points.add_field("J", (), 1.0)
     points.add_field("u", (dim,))
     points.add_field("v", (dim,))
-    points.add_field("grad_v", (dim, dim))
     if velocity is not None:
         points["v"] = velocity(points.x)
-        points["grad_v"] = _gradient(velocity, points.x)
-    points.add_field("a", (dim,))
-    points.add_field("p")
 
 
 def _gradient(
