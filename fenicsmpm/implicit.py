@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +22,7 @@ from fenicsmpm.formulations import Kinematics, parts
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
 from fenicsmpm.mapping import project
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.exits import move
+from fenicsmpm.points.exits import check_on_exit, move
 from fenicsmpm.solvers import NewtonError, NewtonResult, NewtonSolver
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
@@ -65,15 +66,20 @@ class ImplicitMPM:
         bodies: material points with the fields of ``set_initial_state``.
         carried: further points that move with the grid, such as those that carry loads; each gets
             a field "u" if it has none.
-        bcs: Dirichlet conditions on U, that is on the increment of displacement of the step.
+        bcs: Dirichlet conditions on U, whose displacement is the share ``scheme.share`` of the
+            step's increment (1 but for ``GeneralizedAlpha``); supports that move are set by ``data``.
         updates: for each body, more fields to be updated at the end of a step, UFL over its points.
         data: called with the times at the beginning of a step and at which its equations hold, to
-            set loads and boundary values that depend on time.
+            set loads, and boundary values of U by the motion between these times.
         taylor: continue velocities linearly from points to nodes when they are mapped, see
             ``mapping.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         adapt: called with each body at the end of a step, to change its quadrature weights.
         newton: options of ``NewtonSolver``.
+
+    Raises:
+        ValueError: for a scheme of another unknown, no bodies, bodies without their fields,
+            updates of points or fields that are not there, or another ``on_exit``.
 
     Attributes:
         time: [s].
@@ -102,6 +108,9 @@ class ImplicitMPM:
         self.U, self.scheme = U, scheme
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
+        if not self.bodies or scheme.U is not U:
+            raise ValueError("ImplicitMPM needs a body, and a time scheme of the same unknown U")
+        check_on_exit(on_exit)
         self.data, self.taylor, self.on_exit, self.adapt = data, taylor, on_exit, adapt
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
@@ -124,6 +133,15 @@ class ImplicitMPM:
         self._volumes = [
             PointExpression(Kinematics(parts(U)[0], body).j, body) for body in self.bodies
         ]
+        self._warn_of_points_that_stay()
+        for points, fields in (updates or {}).items():
+            unknown = sorted(name for name in fields if name not in points)
+            if points not in (*self.bodies, *self.carried) or unknown:
+                raise ValueError(
+                    f"updates of the fields {unknown} that the points do not have"
+                    if unknown
+                    else "updates of points that are neither bodies nor carried: they do not move"
+                )
         self._updates = {
             points: _Updates(points, self._new_fields(points, updates or {}))
             for points in (*self.bodies, *self.carried)
@@ -171,7 +189,14 @@ class ImplicitMPM:
 
         Returns:
             How many points left the mesh and were deleted or held back.
+
+        Raises:
+            NewtonError: points are turned inside out; nothing was assigned.
         """
+        least = min(float(np.min(new[body]["J"], initial=1.0)) for body in self.bodies)
+        least = self.U.function_space.mesh.comm.allreduce(least, MPI.MIN)
+        if not least > 0:
+            raise NewtonError("inverted", f"J = {least:g} at a point after the step", [])
         removed = 0
         for points, fields in new.items():
             increment = fields["u"] - points["u"]
@@ -186,24 +211,23 @@ class ImplicitMPM:
     # --- steps -------------------------------------------------------------------------------
 
     def step(self, dt: float | None = None) -> Step:
-        """Do one step; if it fails, all points are as they were before it (collective).
+        """Do one step; if it fails, everything is as it was before it (collective).
 
         Args:
-            dt: its length [s]; None for the scheme's.
+            dt: its length [s]; None for ``next_dt``.
 
         Raises:
             NewtonError: the equations could not be solved.
             PointsOutsideError: points left the mesh.
         """
-        if dt is not None:
-            check_time_step(dt)
-            self.scheme.dt.value = dt
-        if self.number == 0:
-            self._start()
-        dt = float(self.scheme.dt.value)
-        before = self._snapshot()
+        dt = self.next_dt if dt is None else dt
+        check_time_step(dt)
+        before, old_dt = self._snapshot(), float(self.scheme.dt.value)
         clock = self.seconds
         try:
+            self.scheme.dt.value = dt
+            if self.number == 0:
+                self._start()
             if self.data is not None:
                 self.data(self.time, self.time + self.scheme.share * dt)
             self.scheme.begin()
@@ -217,6 +241,7 @@ class ImplicitMPM:
                 removed = self.convect(new)
         except BaseException:
             self._restore(before)
+            self.scheme.dt.value = old_dt
             raise
         for name, seconds in result.seconds.items():
             clock.add(name, seconds)
@@ -239,23 +264,36 @@ class ImplicitMPM:
 
         Raises:
             NewtonError: a step of the smallest length failed as well.
+            ValueError: for an end that is not finite.
         """
+        if not math.isfinite(until):
+            raise ValueError(f"the end of a run must be finite: {until} s")
         attempts = 1
         while until - self.time > 1e-9 * self._dt:
             left = until - self.time
+            # what is left is not to become a last step of nearly no length
+            dt = left if left < 1.001 * self.next_dt else self.next_dt
             try:
-                # what is left is not to become a last step of nearly no length
-                step = self.step(left if left < 1.001 * self.next_dt else self.next_dt)
+                step = self.step(dt)
             except NewtonError as error:
-                if self.next_dt / 2 < smallest * self._dt:
+                if dt / 2 < smallest * self._dt:
                     raise
-                self.next_dt, attempts = self.next_dt / 2, attempts + 1
+                self.next_dt, attempts = dt / 2, attempts + 1
                 why = str(error).partition(";")[0]
                 logger.warning("step %d halved to %g s: %s", self.number + 1, self.next_dt, why)
                 continue
             step.attempts, attempts = attempts, 1
             self.next_dt = min(2 * self.next_dt, self._dt)
             yield step
+
+    def _warn_of_points_that_stay(self) -> None:
+        moving = (*self.bodies, *self.carried)
+        for integral in self.newton.R.point_integrals:
+            if integral.points not in moving:
+                logger.warning(
+                    "%d points of an integral are neither bodies nor carried: they stay where they "
+                    "are", integral.points.size_global,
+                )  # fmt: skip
 
     def _snapshot(self) -> Any:
         return [(points, points.snapshot(copy=False)) for points in self._updates]
@@ -275,7 +313,7 @@ class ImplicitMPM:
         if not hasattr(scheme, "start_up"):
             return
         if self.data is not None:
-            self.data(self.time, self.time)
+            self.data(self.time, self.time + float(scheme.dt.value))
         scheme.start_up(True)
         try:
             self.map_to_grid()
@@ -283,8 +321,7 @@ class ImplicitMPM:
             self.solve()
             for body in self.bodies:
                 new = self._updates[body].evaluate()
-                for name in {"a", "p"} & new.keys():
-                    body[name] = new[name]
+                body.assign({name: new[name] for name in ("a", "p") if name in new})
         finally:
             scheme.start_up(False)
 
@@ -298,8 +335,7 @@ class ImplicitMPM:
             k = Kinematics(increment, points)
             fields |= {"F": k.F, "J": k.J, **dict(others)}
             fields |= self.scheme.updates(points)
-            if self.taylor:
-                fields["grad_v"] = k.grad(self.scheme.grid_velocity())
+            fields["grad_v"] = k.grad(self.scheme.grid_velocity())
         return fields | dict(updates.get(points, {}))
 
     def __repr__(self) -> str:

@@ -202,15 +202,54 @@ def test_patch_of_moving_points():
 def test_newton_failure_leaves_the_state():
     flight = Flight(velocity=(1.0, 0.0), newton={"max_iterations": 1, "rtol": 1e-14}, spin=20.0)
     body = flight.body
-    flight.sim.number = 1  # no start-up
     before = body.snapshot()
     with pytest.raises(NewtonError, match="diverged"):
-        flight.sim.step()
+        flight.sim.step(0.02)
     for name, array in before.items():
         assert np.array_equal(body[name], array), name
-    assert (flight.sim.time, flight.sim.number) == (0.0, 1)
+    assert (flight.sim.time, flight.sim.number) == (0.0, 0)
+    assert float(flight.scheme.dt.value) == 0.01
     with pytest.raises(NewtonError):
         list(flight.sim.run(0.1, smallest=0.5))
+
+
+@pytest.mark.mpi
+def test_points_turned_inside_out_leave_the_state():
+    """They may be on one rank only: all go back together, after the start-up too."""
+    flight = Flight(spin=2.0)
+    sim, body = flight.sim, flight.body
+    map_to_points = sim.map_to_points
+
+    def inverted():
+        new = map_to_points()
+        if MPI.COMM_WORLD.rank == 0:
+            new[body]["J"][:1] = -0.1
+        return new
+
+    sim.map_to_points = inverted
+    before = body.snapshot()
+    with pytest.raises(NewtonError, match="inverted: J = -0.1 at a point"):
+        sim.step()
+    for name, array in before.items():
+        assert np.array_equal(body[name], array), name
+
+
+def test_a_last_step_that_fails_is_halved_itself():
+    flight = Flight()
+    sim, solve, tried = flight.sim, flight.sim.solve, []
+
+    def fails_once():
+        tried.append(float(sim.scheme.dt.value))
+        if sim.number == 1 and tried.count(tried[-1]) == 1 and len(tried) < 4:
+            raise NewtonError("diverged", "as asked for", [])
+        return solve()
+
+    sim.solve = fails_once
+    steps = list(sim.run(0.012))
+    assert tried[:4] == pytest.approx([0.01, 0.01, 0.002, 0.001])  # the first is the start-up
+    assert [s.dt for s in steps] == pytest.approx([0.01, 0.001, 0.001])
+    with pytest.raises(ValueError, match="must be finite: nan"):
+        next(sim.run(np.nan))
 
 
 def test_steps_are_halved_and_grow_again():
@@ -241,12 +280,17 @@ def test_points_that_leave():
     for on_exit in ("delete", "clamp"):
         flight = Flight(**fast, on_exit=on_exit)
         n = flight.body.size_global
+        x0 = flight.body.x - flight.body["u"]
+        ids = flight.body.id.copy()
         step = flight.sim.step()
         assert 0 < step.removed < n
+        if MPI.COMM_WORLD.size == 1:
+            kept = np.isin(ids, flight.body.id)
+            assert flight.body.x - flight.body["u"] == pytest.approx(x0[kept], abs=1e-14)
         assert flight.body.size_global == (n - step.removed if on_exit == "delete" else n)
         assert flight.body.bounds[0][0] > -1e-12
     with pytest.raises(ValueError, match="on_exit must be one of"):
-        Flight(**fast, on_exit="ignore").sim.step()
+        Flight(**fast, on_exit="ignore")
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
@@ -274,11 +318,23 @@ def test_wrong_input():
     body = points.fill(domain, 2)
     with pytest.raises(ValueError, match="density"):
         formulations.set_initial_state(body, -1.0)
+    with pytest.raises(ValueError, match=r"velocities of shape \(2,\)"):
+        formulations.set_initial_state(body, 1.0, lambda x: np.zeros(2))
+    assert body.field_names == ()
     U = fem.Function(formulations.mixed_space(domain))
     V = ufl.TestFunction(U.function_space)
     R = formulations.mixed(U, V, body, NeoHookean(1.0, 0.3))
     with pytest.raises(ValueError, match="set_initial_state"):
         ImplicitMPM(R, U, Bossak(U, dt=0.1), body)
+    formulations.set_initial_state(body, 1.0)
+    for arguments, message in (
+        ({"bodies": []}, "needs a body"),
+        ({"scheme": Bossak(fem.Function(U.function_space), dt=0.1)}, "same unknown"),
+        ({"updates": {points.fill(domain, 1): {}}}, "neither bodies nor carried"),
+        ({"updates": {body: {"T": U[0]}}}, r"\['T'\] that the points do not have"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ImplicitMPM(R, U, **{"scheme": Bossak(U, dt=0.1), "bodies": body, **arguments})
     with pytest.raises(ValueError, match="same mesh"):
         other = points.fill(mesh.create_unit_square(MPI.COMM_SELF, 2, 2), 2)
         ActiveCells(body, other)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
 
 
 def set_initial_state(
@@ -16,7 +17,7 @@ def set_initial_state(
     density: float,
     velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None,
 ) -> None:
-    """Give undeformed points the fields of a body in motion.
+    """Give undeformed points the fields of a body in motion (collective).
 
     These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
     determinant [-], "u" displacement [m], "v" velocity [m/s] and "grad_v" its gradient [1/s], "a"
@@ -29,13 +30,15 @@ def set_initial_state(
             a body at rest.
 
     Raises:
-        ValueError: for a density that is not positive and finite.
+        ValueError: for a density that is not positive and finite, or velocities of another shape
+            than the positions; the points are as before.
     """
     add_motion(points, density, velocity)
     dim = points.mesh.geometry.dim
     points.add_field("grad_v", (dim, dim))
     if velocity is not None:
-        points["grad_v"] = _gradient(velocity, points.x)
+        lower, upper = points.bounds
+        points["grad_v"] = _gradient(velocity, points.x, 1e-5 * float(np.max(upper - lower)))
     points.add_field("a", (dim,))
     points.add_field("p")
 
@@ -51,22 +54,27 @@ def add_motion(
     """
     if not 0 < density < np.inf:
         raise ValueError(f"the density must be positive and finite: {density}")
+    v = np.zeros(points.x.shape) if velocity is None else np.asarray(velocity(points.x))
+    error = None
+    if v.shape != points.x.shape:
+        error = ValueError(f"velocities of shape {v.shape} at points of shape {points.x.shape}")
+    raise_together(points.mesh.comm, error)
     dim = points.mesh.geometry.dim
     points.add_field("mass", (), density * points.weight)
     points.add_field("V_0", (), points.weight)
     points.add_field("F", (3, 3), np.eye(3))
     points.add_field("J", (), 1.0)
     points.add_field("u", (dim,))
-    points.add_field("v", (dim,))
-    if velocity is not None:
-        points["v"] = velocity(points.x)
+    points.add_field("v", (dim,), v)
 
 
 def _gradient(
-    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike], x: npt.NDArray[np.float64]
+    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
+    x: npt.NDArray[np.float64],
+    step: float,
 ) -> npt.NDArray[np.float64]:
-    """``(n, d, d)`` gradient of a function of positions, by central differences."""
-    step = 1e-5 * max(float(np.ptp(x)) if x.size else 0.0, 1e-300)
+    """``(n, d, d)`` gradient of a function of positions, by differences over a step [m]."""
+    step = step or 1.0  # a single point
     differences = [
         np.asarray(velocity(x + e)) - np.asarray(velocity(x - e)) for e in step * np.eye(x.shape[1])
     ]

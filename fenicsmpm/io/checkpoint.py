@@ -85,6 +85,8 @@ def save(path: str | Path, sim: Simulation) -> None:
         try:
             with replacing(path) as stream:
                 stream.write(_pack(state))
+        except MemoryError as failure:
+            error = failure
         except OSError as failure:
             error = OSError(
                 failure.errno,
@@ -123,7 +125,7 @@ def restore(path: str | Path, sim: Simulation) -> None:
         try:
             state = _read(path, header)
             _check(path, state, header, fields)
-        except (OSError, CheckpointError) as failure:
+        except (OSError, MemoryError, CheckpointError) as failure:
             error = failure
     raise_together(comm, error)
     same = comm.bcast(state and state.header["layout"] == header["layout"])

@@ -16,8 +16,16 @@ logger = logging.getLogger(__name__)
 ON_EXIT = ("error", "delete", "clamp")
 
 
+def check_on_exit(on_exit: str) -> None:
+    """Raise a ValueError unless this says what happens to points that leave the mesh."""
+    if on_exit not in ON_EXIT:
+        raise ValueError(f"on_exit must be one of {', '.join(ON_EXIT)}, not {on_exit!r}")
+
+
 def move(points: MaterialPoints, x: npt.NDArray[np.float64], on_exit: str = "error") -> int:
     """Move points, some of which may leave the mesh. Collective.
+
+    Where a point is held back, so is its field "u" of displacements, if there is one.
 
     Args:
         points: Point set.
@@ -32,8 +40,7 @@ def move(points: MaterialPoints, x: npt.NDArray[np.float64], on_exit: str = "err
         PointsOutsideError: On all ranks, for "error".
         ValueError: For another value of `on_exit`.
     """
-    if on_exit not in ON_EXIT:
-        raise ValueError(f"on_exit must be one of {', '.join(ON_EXIT)}, not {on_exit!r}")
+    check_on_exit(on_exit)
     try:
         points.move(x)
         return 0
@@ -47,12 +54,16 @@ def move(points: MaterialPoints, x: npt.NDArray[np.float64], on_exit: str = "err
         logger.warning("%d points left the background mesh and were deleted", count)
         return count
     # halve what is left of the way until all are inside
-    start = points.x.copy()
+    way = x - points.x
     share = np.ones(len(points))
+    u = points["u"] if "u" in points else None
     while True:
         share[outside] = np.where(share[outside] > 1e-3, share[outside] / 2, 0.0)
+        held_back = (1.0 - share)[:, None] * way
+        if u is not None:
+            points.assign({"u": u - held_back})
         try:
-            points.move(start + share[:, None] * (x - start))
+            points.move(x - held_back)
             break
         except PointsOutsideError as error:
             outside = error.indices
