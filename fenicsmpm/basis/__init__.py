@@ -6,19 +6,61 @@ from __future__ import annotations
 import weakref
 from typing import TYPE_CHECKING
 
+import numpy.typing as npt
+
 from fenicsmpm.basis.lagrange import LagrangeStencil
+from fenicsmpm.basis.lattice_stencil import LatticeStencil
+from fenicsmpm.basis.partition import shared_vertex_partitioner
 from fenicsmpm.basis.stencil import PointStencil
 
 if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
 
-__all__ = ["LagrangeStencil", "PointStencil", "stencil_of"]
+__all__ = [
+    "LagrangeStencil",
+    "LatticeStencil",
+    "PointStencil",
+    "shared_vertex_partitioner",
+    "stencil_of",
+    "use",
+]
 
 _stencils: weakref.WeakKeyDictionary[MaterialPoints, PointStencil] = weakref.WeakKeyDictionary()
 
 
+def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = None) -> None:
+    """Choose the grid functions that points see, instead of the finite elements of the mesh.
+
+    Functions of Lagrange spaces of degree 1 are then taken to be sums of these functions, in forms
+    and expressions over the points, and in what is summed to the grid. Each point set of a problem
+    is to use the same, or uGIMP with a size of its own. Copies and selections take the choice
+    along. Collective.
+
+    Args:
+        points: the point set, on a mesh of equal axis-parallel boxes that fill a box.
+        name: "linear" (those of the finite elements), "quadratic" or "cubic" (B-splines), or
+            "gimp" (uGIMP).
+        half_size: half of the initial size of a point in m, ``(d,)`` or one number; for "gimp".
+
+    Raises:
+        ValueError: on all ranks, for points that are in use already, meshes that are no lattices
+            or whose ranks do not see enough of it (see ``shared_vertex_partitioner``), and sizes
+            that are not positive or larger than half a cell.
+    """
+    if points in _stencils:
+        raise ValueError(
+            "grid functions chosen for points that have been used already: choose them before the "
+            "first form over the points and the first sum on the grid"
+        )
+    _stencils[points] = LatticeStencil(points, name, half_size)
+    points.grid_functions = (name, half_size)
+
+
 def stencil_of(points: MaterialPoints) -> PointStencil:
-    """The stencil of a point set, made at first use (Lagrange functions of the mesh)."""
+    """The stencil of a point set, made at first use; see ``use``."""
     if points not in _stencils:
-        _stencils[points] = LagrangeStencil(points)
+        if points.grid_functions is None:
+            _stencils[points] = LagrangeStencil(points)
+        else:
+            _stencils[points] = LatticeStencil(points, *points.grid_functions)
     return _stencils[points]

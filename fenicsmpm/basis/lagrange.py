@@ -26,6 +26,9 @@ class LagrangeStencil:
         points: the point set, or another object with its mesh, geometry, cell, xi, order, version.
     """
 
+    kind = "elements"
+    groups_are_cells = True
+
     def __init__(self, points: Any) -> None:
         """Create an empty cache; nothing is tabulated yet."""
         # A strong reference would keep the points alive as key of the stencil registry.
@@ -61,17 +64,13 @@ class LagrangeStencil:
         """``(n_cells, n_nodes)`` cell dofmap of a function space (blocks)."""
         return space.dofmap.list
 
-    def jacobian(self) -> npt.NDArray[np.float64]:
-        """``(n_points, d, d)`` dx/dxi at the points, in m, in the order of cells."""
-        if self._geometry.is_simplex:
-            return self._geometry.centre_jacobian[self._cells()]
-        return self._geometry.jacobian(self._cells(), self.points.xi[self.points.order])
+    def n_functions(self, element: Any) -> int:
+        """Number of functions of a scalar element in a cell."""
+        return element.dim
 
-    def inverse_jacobian(self) -> npt.NDArray[np.float64]:
-        """``(n_points, d, d)`` dxi/dx at the points, in 1/m, in the order of cells."""
-        if self._geometry.is_simplex:
-            return self._geometry.centre_inverse[self._cells()]
-        return np.asarray(np.linalg.inv(self.jacobian()), dtype=np.float64)
+    def seen_cells(self) -> npt.NDArray[np.int32]:
+        """Cells with points, ascending."""
+        return np.unique(self.points.cell)
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Values and derivatives of a scalar element's functions at the points.
@@ -111,7 +110,8 @@ class LagrangeStencil:
         table = np.empty((n_points, derivative_rows(derivatives, dim), n_nodes))
         table[:, 0, :] = reference[0]
         if derivatives > 0:
-            inverse = self.inverse_jacobian()
+            xi = self.points.xi[self.points.order]
+            inverse = self._geometry.inverse_jacobian(self._cells(), xi)
             _push_forward_gradients(reference[1 : dim + 1], inverse, table)
             if derivatives > 1:
                 second = reference[_second_derivatives(dim)]

@@ -29,8 +29,29 @@ class PointStencil(Protocol):
     def n_owned_groups(self) -> int:
         """Number of groups that can hold points of this rank; they come first."""
 
+    @property
+    def kind(self) -> str:
+        """Stencils of the same kind on the same mesh have the same groups and nodes."""
+
+    @property
+    def groups_are_cells(self) -> bool:
+        """Whether each group is the points of a cell."""
+
+    def n_functions(self, element: Any) -> int:
+        """Number of functions of a scalar element that a group sees."""
+
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
-        """``(n_groups, n_nodes)`` local blocks of a function space seen by each group."""
+        """``(n_groups, n)`` local blocks of a function space seen by each group.
+
+        Those of a mixed space come in the order of its cell dofmap: subspace by subspace, and
+        node by node within each.
+
+        Raises:
+            ValueError: if the functions do not stand for those of the space.
+        """
+
+    def seen_cells(self) -> npt.NDArray[np.int32]:
+        """Local cells, ghosts included, of which some point sees all nodes; ascending."""
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Grid functions and their derivatives at the points.

@@ -131,7 +131,7 @@ def _meetings(a: Form, compact: bool) -> Iterator[tuple[_Indices, _Indices]]:
             integral.refresh()
         known = [(i.stencil, i.groups) for i in a.point_integrals]
     else:
-        stencils = {type(i.stencil): i.stencil for i in a.point_integrals}.values()
+        stencils = {i.stencil.kind: i.stencil for i in a.point_integrals}.values()
         known = [(stencil, np.arange(stencil.n_owned_groups)) for stencil in stencils]
     for stencil, groups in known:
         rows, columns = (stencil.dofs(V)[groups] for V in a.function_spaces)

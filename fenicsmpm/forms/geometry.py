@@ -15,20 +15,14 @@ from fenicsmpm.points import MaterialPoints
 
 
 def geometry_values(
-    quantity: Any,
-    stencil: Any,
-    points: MaterialPoints,
-    rows: npt.NDArray[np.int64],
-    order: npt.NDArray[np.int64],
+    quantity: Any, points: MaterialPoints, order: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float64]:
     """Evaluate a geometric quantity that varies within cells at points.
 
     Args:
         quantity: one of the UFL quantities of ``lowering.POINT_GEOMETRY``.
-        stencil: the points' stencil.
         points: the point set.
-        rows: ``(n,)`` table rows of the points to evaluate at.
-        order: ``(n,)`` their storage indices.
+        order: ``(n,)`` storage indices of the points to evaluate at.
 
     Returns:
         ``(n, size)`` flattened values.
@@ -36,13 +30,14 @@ def geometry_values(
     name = type(quantity).__name__
     if name == "SpatialCoordinate":
         return points.x[order]
-    if name == "Jacobian":
-        values = stencil.jacobian()[rows]
-    elif name == "JacobianInverse":
-        values = stencil.inverse_jacobian()[rows]
+    where = points.cell[order], points.xi[order]
+    if name == "JacobianInverse":
+        values = points.geometry.inverse_jacobian(*where)
     else:
-        values = np.linalg.det(stencil.jacobian()[rows])
-    return values.reshape(len(rows), int(np.prod(values.shape[1:], dtype=int)))
+        values = points.geometry.jacobian(*where)
+    if name == "JacobianDeterminant":
+        values = np.linalg.det(values)
+    return values.reshape(len(order), int(np.prod(values.shape[1:], dtype=int)))
 
 
 def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:

@@ -12,10 +12,12 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx import fem
 
 from fenicsmpm.basis import LagrangeStencil, stencil_of
 from fenicsmpm.forms import linear_loops, loops
 from fenicsmpm.forms.condensation import Condensation, sites_per_cell
+from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.geometry import cell_values
 from fenicsmpm.forms.kernels import compile_pointwise
 from fenicsmpm.forms.lowering import CELL_GEOMETRY, Source, lower
@@ -35,7 +37,9 @@ class PointIntegral:
         jit_options: see ``form``.
 
     Raises:
-        UnsupportedFormError: see ``lowering.lower``.
+        UnsupportedFormError: see ``lowering.lower``; for averages over cells where the points'
+            grid functions have other groups.
+        ValueError: for function spaces for which these do not stand.
     """
 
     def __init__(
@@ -62,6 +66,20 @@ class PointIntegral:
         self._version: Any = None
         self._active: dict[int, npt.NDArray[np.int32]] = {}
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
+        for source in (*self.lowered.arguments, *self.lowered.inputs):
+            self._check(source)
+
+    def _check(self, source: Source) -> None:
+        """Raise if the points' grid functions cannot stand for those of a source."""
+        has_average = np.any(source.used >= source.size // 2)
+        if has_average and not self.stencil.groups_are_cells:
+            raise UnsupportedFormError(
+                f"cell_avg of {source.item} over points whose grid functions are not those of a "
+                "cell: project it onto a function space instead"
+            )
+        space = source.item.ufl_function_space() if source.layout else None
+        if isinstance(space, fem.FunctionSpace):
+            self.dofs(source, space)
 
     def _warn_of_unknown_tag(self, tag: int) -> None:
         here = bool(np.any(self.points.tag == tag))
@@ -145,7 +163,7 @@ class PointIntegral:
             slots = [a for t, v in pairs for a in linear_loops.with_moments(t, v, dim)]
         else:
             slots = [a for t in tables for a in (t.basis, t.column, t.length, t.start)]
-        n_local = [len(source.layout.dof_order) for source in arguments if source.layout]
+        n_local = [self._dofs[id(source)].shape[1] for source in arguments]
         kernel = self.kernel
         for batch in sites.batches():
             groups = batch[0]

@@ -138,7 +138,7 @@ class Sites:
         elif id(source) in cell_values:
             values = cell_values[id(source)][self.points.cell[self.order], None]
         else:
-            values = geometry_values(item, self.stencil, self.points, self.rows, self.order)
+            values = geometry_values(item, self.points, self.order)
         size = source.size // 2
         if source.used[-1] >= size:
             mean = loops.average_groups(values, self.weights, self.offsets)

@@ -28,13 +28,11 @@ class Leaf:
 
     Attributes:
         element: scalar basix element.
-        size: number of components (block size).
-        first: first local degree of freedom; component c of node a is ``first + a * size + c``.
+        size: number of components (block size); they alternate in the cell dofmap.
     """
 
     element: Any
     size: int
-    first: int
 
 
 def leaves_of(element: Any) -> list[Leaf]:
@@ -49,23 +47,22 @@ def leaves_of(element: Any) -> list[Leaf]:
     """
     leaves: list[Leaf] = []
 
-    def visit(element: Any, first: int) -> None:
+    def visit(element: Any) -> None:
         subelements = element.sub_elements
         if isinstance(element, basix.ufl._MixedElement):
             for sub in subelements:
-                visit(sub, first)
-                first += sub.dim
+                visit(sub)
         elif isinstance(element, basix.ufl._BlockedElement):
             if element._has_symmetry:
                 raise UnsupportedFormError(
                     f"symmetric tensor element over material points: {element}. "
                     "Use a full tensor space (symmetry=False)."
                 )
-            leaves.append(Leaf(_scalar_element(subelements[0]), element.block_size, first))
+            leaves.append(Leaf(_scalar_element(subelements[0]), element.block_size))
         else:
-            leaves.append(Leaf(_scalar_element(element), 1, first))
+            leaves.append(Leaf(_scalar_element(element), 1))
 
-    visit(element, 0)
+    visit(element)
     return leaves
 
 
@@ -102,17 +99,7 @@ class Layout:
         self.leaves = leaves_of(element)
         self.n_rows = derivative_rows(2, dim)
         self.dim = dim
-        self.component_leaf: list[Leaf] = []
-        self.component_start: list[int] = []
-        order: list[npt.NDArray[np.int64]] = []
-        start = 0
-        for leaf in self.leaves:
-            for c in range(leaf.size):
-                self.component_leaf.append(leaf)
-                self.component_start.append(start)
-                order.append(leaf.first + leaf.size * np.arange(leaf.element.dim) + c)
-                start += leaf.element.dim
-        self.dof_order = np.concatenate(order)
+        self.component_leaf = [leaf for leaf in self.leaves for _ in range(leaf.size)]
 
     @property
     def n_components(self) -> int:
@@ -152,12 +139,23 @@ class Layout:
             index = index * self.dim + k
         return (int(average) * self.n_components + component) * self.n_rows + row + index
 
+    def component_starts(self, stencil: PointStencil) -> npt.NDArray[np.int64]:
+        """``(n_components,)`` first local dof of each component, in the slots' order."""
+        lengths = [stencil.n_functions(leaf.element) for leaf in self.component_leaf]
+        return np.cumsum([0, *lengths[:-1]])
+
     def unrolled_dofs(self, space: Any, stencil: PointStencil) -> npt.NDArray[np.int32]:
         """``(n_groups, n_local)`` unrolled local dofs of a dolfinx space in the slots' order."""
         bs = space.dofmap.bs
         blocks = stencil.dofs(space)
         dofs = (blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)).reshape(len(blocks), -1)
-        return np.ascontiguousarray(dofs[:, self.dof_order], dtype=np.int32)
+        order = []
+        first = 0
+        for leaf in self.leaves:
+            n = stencil.n_functions(leaf.element)
+            order += [first + leaf.size * np.arange(n) + c for c in range(leaf.size)]
+            first += leaf.size * n
+        return np.ascontiguousarray(dofs[:, np.concatenate(order)], dtype=np.int32)
 
 
 @dataclass
@@ -201,6 +199,7 @@ def slot_table(
     length = np.empty(len(used), dtype=np.int64)
     start = np.empty(len(used), dtype=np.int64)
     width = 0
+    starts = layout.component_starts(stencil)
     for i, (row, component) in enumerate(zip(rows, components, strict=True)):
         element = layout.component_leaf[component].element
         key = (hash(element), bool(averaged[i]))
@@ -215,13 +214,13 @@ def slot_table(
             if layout.is_linear:
                 derivatives = 1  # see linear_loops
             table = stencil.table(element, derivatives)
-            block = table.reshape(len(table), table.shape[1] * element.dim)
+            block = table.reshape(len(table), table.shape[1] * table.shape[2])
             blocks.append(average(block) if key[1] else block)
             block_column[key] = width
             width += block.shape[1]
-        column[i] = block_column[key] + row * element.dim
-        length[i] = element.dim
-        start[i] = layout.component_start[component]
+        length[i] = stencil.n_functions(element)
+        column[i] = block_column[key] + row * length[i]
+        start[i] = starts[component]
     if len(blocks) == 1:
         basis = blocks[0]
     else:

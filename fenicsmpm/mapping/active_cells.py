@@ -13,6 +13,7 @@ from dolfinx import la
 from dolfinx.mesh import exterior_facet_indices
 
 from fenicsmpm import _compat
+from fenicsmpm.basis import stencil_of
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 
@@ -20,7 +21,8 @@ from fenicsmpm.points.agreement import raise_together
 class ActiveCells:
     """The part of the background mesh that holds points, followed as they move.
 
-    A cell is active if it holds a point. Where there are loads but nothing of a body, all cells
+    A cell is active if some point sees all its nodes: with finite elements, if it holds a point;
+    splines and uGIMP see further cells. Where there are loads but nothing of a body, all cells
     around are active too, so that there is a way to the body over facets. An active cell is cut if
     it holds nothing of a body, or if one of its facets leads to a cell that is not active. The
     measures are for UFL forms, which are
@@ -111,10 +113,12 @@ class ActiveCells:
         cell_map = topology.index_map(topology.dim)
         owned = cell_map.size_local
         active = la.vector(cell_map)
-        active.array[:] = 0.0
+        filled = la.vector(cell_map)
+        active.array[:] = filled.array[:] = 0.0
         for points in self._bodies:
-            active.array[points.cell] = 1.0
-        filled = active.array.copy()
+            filled.array[points.cell] = 1.0
+            active.array[stencil_of(points).seen_cells()] = 1.0
+        active.scatter_reverse(la.InsertMode.add)
         if self._loads:
             loaded = np.unique(np.concatenate([points.cell for points in self._loads]))
             apart = loaded[active.array[loaded] == 0]
@@ -127,7 +131,7 @@ class ActiveCells:
         cut = la.vector(cell_map)
         cut.array[:] = 0.0
         cut.array[between.ravel()] = 1.0
-        cut.array[filled == 0] = 1.0  # if active at all, as a way of loads to the body
+        cut.array[filled.array == 0] = 1.0  # if active at all, as a way of loads to the body
         # a rank sees all facets of its own cells, so owned values are complete
         cut.scatter_forward()
         is_cut = (cut.array > 0) & (active.array > 0)

@@ -145,6 +145,14 @@ class CellGeometry:
         """Inverses of `centre_jacobian`."""
         return np.asarray(np.linalg.inv(self.centre_jacobian), dtype=np.float64)
 
+    def inverse_jacobian(
+        self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """dxi/dx, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        if self.is_simplex:
+            return self.centre_inverse[cells]
+        return np.asarray(np.linalg.inv(self.jacobian(cells, xi)), dtype=np.float64)
+
     def determinant(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:

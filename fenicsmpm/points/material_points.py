@@ -46,6 +46,8 @@ class MaterialPoints:
         version: Grows whenever positions, cells, order or number of the points change.
         size_global: Number of points on all ranks.
         next_id: Id of the next point that is added.
+        grid_functions: Which ones the points see, as `fenicsmpm.basis.use` has chosen; None for
+            the finite elements of the mesh.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class MaterialPoints:
 
         n = len(data["x"])
         self.version = 0
+        self.grid_functions: tuple[str, Any] | None = None
         self._coefficients: dict[str, PointField] = {}
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)

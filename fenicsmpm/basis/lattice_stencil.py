@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: MIT
+"""Linear functions, uGIMP and splines of the nodes of a lattice, seen from the points."""
+
+from __future__ import annotations
+
+import itertools
+import weakref
+from typing import TYPE_CHECKING, Any
+
+import basix
+import basix.ufl
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm import _compat
+from fenicsmpm.basis.lattice import lattice_of
+from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
+from fenicsmpm.basis.stencil import derivative_rows
+from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.sorting import sort_by_cell
+
+if TYPE_CHECKING:
+    from fenicsmpm.points.material_points import MaterialPoints
+
+KINDS = {"linear": LINEAR, "quadratic": QUADRATIC, "cubic": CUBIC, "gimp": GIMP}
+# Values below this are round-off: the function does not reach the point
+_ZERO = 1e-12
+# Points that a thread does with one piece of work memory
+_CHUNK = 1024
+
+
+class LatticeStencil:
+    """Point stencil of functions that are products of those in ``lines``, one a node of the mesh.
+
+    They stand for the functions of Lagrange spaces of degree 1. A group is a cell for linear and
+    cubic functions; for quadratic ones and uGIMP it is the box around a node, of the size of a
+    cell. Where the box of nodes that a group sees sticks out of the mesh, the nodes at the wall
+    are repeated with functions that are zero.
+
+    Args:
+        points: the point set.
+        name: "linear", "quadratic", "cubic" or "gimp".
+        half_size: half of the points' size in m, ``(d,)`` or one number, for uGIMP.
+
+    Attributes:
+        kind: stencils of one kind on a mesh have the same groups.
+        groups_are_cells: whether groups are cells.
+    """
+
+    def __init__(self, points: Any, name: str, half_size: npt.ArrayLike | None = None) -> None:
+        """Find the groups of the mesh and the nodes that they see. Collective.
+
+        Raises:
+            ValueError: on all ranks, for meshes that are no lattices, sizes that are not positive
+                or larger than half a cell, and ranks that do not see all nodes that they need.
+        """
+        if name not in KINDS:
+            raise ValueError(f"no grid functions {name!r}: there are {', '.join(KINDS)}")
+        self.name = name
+        self._kind = KINDS[name]
+        # A strong reference would keep the points alive as key of the stencil registry.
+        self._points: weakref.ref[MaterialPoints] = weakref.ref(points)
+        mesh = points.mesh
+        self._lattice = lattice = lattice_of(mesh)
+        self._dim = len(lattice.shape)
+        self._half = self._check_half_size(half_size)
+        self._width = WIDTH[self._kind]
+        self.groups_are_cells = self._kind in (LINEAR, CUBIC)
+        self.kind = f"{'cells' if self.groups_are_cells else 'nodes'} {self._width}"
+        self._element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
+        self._nodes = self._find_groups()
+        raise_together(mesh.comm, self._unseen())
+        # by id; the space (which has no hash) is kept so that its id stays its own
+        self._dofs: dict[int, tuple[Any, npt.NDArray[np.int32]]] = {}
+        self._version = -1
+        self._tables: dict[int, npt.NDArray[np.float64]] = {}
+
+    def _check_half_size(self, half_size: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
+        """In units of a cell; one half for those who do not need it."""
+        spacing = self._lattice.spacing
+        if (half_size is not None) != (self._kind == GIMP):
+            raise ValueError(
+                "half_size is the size of points for 'gimp', which needs it, and for nothing else: "
+                f"{self.name!r} with half_size={half_size}"
+            )
+        if half_size is None:
+            return np.full(self._dim, 0.5)
+        half = np.array(half_size, dtype=np.float64)
+        if half.shape not in ((), (self._dim,)):
+            raise ValueError(f"half_size of shape {half.shape} in {self._dim} dimensions")
+        half = half / spacing
+        if not np.all((half > 0) & (half <= 0.5 + 1e-9)):
+            raise ValueError(
+                f"half_size must be above 0 and at most half a cell, {spacing / 2} m, not "
+                f"{half_size}"
+            )
+        return np.minimum(half, 0.5)
+
+    # --- groups ------------------------------------------------------------------------------
+
+    def _find_groups(self) -> npt.NDArray[np.int32]:
+        """``(n_groups, n_nodes)`` local nodes of the mesh that each group sees, -1 for not here."""
+        lattice = self._lattice
+        owned = lattice.index[: lattice.geometry.num_owned]
+        if self.groups_are_cells:
+            first = owned - int(self._kind == CUBIC)
+            self._group_of = np.arange(len(owned), dtype=np.int32)[:, None]
+        else:
+            ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))
+            boxes = (owned[:, None, :] + ends).reshape(-1, self._dim)
+            first, group = np.unique(boxes, axis=0, return_inverse=True)
+            first -= 1
+            self._group_of = group.reshape(-1, 2**self._dim).astype(np.int32)
+        steps = itertools.product(range(self._width), repeat=self._dim)
+        self._first = first
+        columns = [lattice.nodes(np.clip(first + step, 0, lattice.shape)) for step in steps]
+        return np.ascontiguousarray(np.stack(columns, axis=1))
+
+    def _unseen(self) -> ValueError | None:
+        steps = itertools.product(range(self._width - 1), repeat=self._dim)
+        last = self._lattice.shape - 1
+        cells = [self._lattice.cells(np.clip(self._first + step, 0, last)) for step in steps]
+        if np.all(self._nodes >= 0) and all(np.all(c >= 0) for c in cells):
+            return None
+        return ValueError(
+            f"points with {self.name} functions see nodes of cells that touch theirs in a corner, "
+            "which this mesh does not have on each rank: create it with "
+            "partitioner=fenicsmpm.basis.shared_vertex_partitioner"
+        )
+
+    @property
+    def points(self) -> MaterialPoints:
+        """The point set."""
+        points = self._points()
+        assert points is not None
+        return points
+
+    @property
+    def order(self) -> npt.NDArray[np.int64]:
+        """``(n_points,)`` storage index of each point, in the order of groups."""
+        self._refresh()
+        return self._order
+
+    @property
+    def offsets(self) -> npt.NDArray[np.int64]:
+        """``(n_groups + 1,)`` range of the points of each group within ``order``."""
+        self._refresh()
+        return self._offsets
+
+    @property
+    def n_owned_groups(self) -> int:
+        """Number of groups; all of them can hold points."""
+        return len(self._nodes)
+
+    def _refresh(self) -> None:
+        if self._version == self.points.version:
+            return
+        self._version = self.points.version
+        self._tables = {}
+        points, lattice = self.points, self._lattice
+        if self.groups_are_cells:
+            group = points.cell
+        else:
+            scale = 1.0 / lattice.spacing
+            group = np.empty(len(points), dtype=np.int32)
+            _find_boxes(points.x, points.cell, lattice.lower, scale, self._group_of, group)
+        self._order, self._offsets = sort_by_cell(group, len(self._nodes))
+
+    def n_functions(self, element: Any) -> int:
+        """Number of functions that a group sees, whatever the scalar element."""
+        return self._nodes.shape[1]
+
+    def dofs(self, space: Any) -> npt.NDArray[np.int32]:
+        """``(n_groups, n)`` blocks of a function space seen by each group.
+
+        In mixed spaces, those of one subspace come after those of the other.
+
+        Raises:
+            ValueError: for spaces other than Lagrange of degree 1.
+        """
+        if id(space) not in self._dofs:
+            n = len(self._nodes)
+            columns = [blocks[self._nodes].reshape(n, -1) for blocks in self._node_blocks(space)]
+            self._dofs[id(space)] = space, np.hstack(columns)
+        return self._dofs[id(space)][1]
+
+    def _node_blocks(self, space: Any) -> list[npt.NDArray[np.int32]]:
+        """``(n_mesh_nodes, size)`` blocks of the nodes, for each subspace."""
+        element = space.ufl_element()
+        mixed = isinstance(element, basix.ufl._MixedElement)
+        result = []
+        first = 0
+        nodes = _compat.geometry_dofmap(self.points.mesh)
+        blocks = space.dofmap.list
+        for leaf in _leaves(element):
+            if not _is_linear(leaf):
+                raise ValueError(
+                    f"{self.name} functions stand for those of a continuous Lagrange space of "
+                    f"degree 1, not of {leaf}: use such a space, or a field of the points"
+                )
+            size = leaf.block_size if mixed else 1
+            n = nodes.shape[1] * size
+            of_cells = blocks[:, first : first + n].reshape(*nodes.shape, size)
+            of_nodes = np.zeros((len(self.points.mesh.geometry.x), size), dtype=np.int32)
+            of_nodes[nodes] = of_cells
+            if not np.array_equal(of_nodes[nodes], of_cells):
+                raise ValueError(f"{self.name} functions for a space with several functions a node")
+            result.append(of_nodes)
+            first += n
+        return result
+
+    # --- functions ---------------------------------------------------------------------------
+
+    def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
+        """Values and derivatives of the functions at the points.
+
+        Args:
+            element: scalar element, whose functions these stand for.
+            derivatives: highest order of derivatives, 0 to 2.
+
+        Returns:
+            ``(n_points, n_rows, n_nodes)``, see ``PointStencil.table``.
+        """
+        self._refresh()
+        if derivatives not in self._tables:
+            self._tables[derivatives] = self._tabulate(derivatives)
+        return self._tables[derivatives]
+
+    def _tabulate(self, derivatives: int) -> npt.NDArray[np.float64]:
+        points, lattice, dim = self.points, self._lattice, self._dim
+        rows = [
+            [directions.count(k) for k in range(3)]
+            for order in range(derivatives + 1)
+            for directions in itertools.product(range(dim), repeat=order)
+        ]
+        table = np.empty((len(points), derivative_rows(derivatives, dim), self._nodes.shape[1]))
+        _tabulate(
+            self._kind, points.x, points.cell, self._order, lattice.lower, lattice.index,
+            lattice.shape, 1.0 / lattice.spacing, self._half, self._width, np.array(rows), table,
+        )  # fmt: skip
+        return table
+
+    def seen_cells(self) -> npt.NDArray[np.int32]:
+        """Local cells, ghosts included, of which some point sees all nodes; ascending."""
+        values = self.table(self._element, 0)[:, 0, :]
+        side = range(self._width - 1)
+        steps = np.array(list(itertools.product(side, repeat=self._dim)))
+        ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))
+        corners = (steps[:, None, :] + ends) @ self._width ** np.arange(self._dim)[::-1]
+        seen = np.zeros((len(self._nodes), len(steps)), dtype=np.bool_)
+        _mark_cells(values, self._offsets, corners, seen)
+        group, step = np.nonzero(seen)
+        return np.unique(self._lattice.cells(self._first[group] + steps[step]))
+
+
+def _leaves(element: Any) -> list[Any]:
+    """Scalar and blocked elements of a mixed one, in the order of its degrees of freedom."""
+    if isinstance(element, basix.ufl._MixedElement):
+        return [leaf for sub in element.sub_elements for leaf in _leaves(sub)]
+    return [element]
+
+
+def _is_linear(leaf: Any) -> bool:
+    """Whether a scalar or blocked element is Lagrange of degree 1."""
+    element = getattr(leaf, "basix_element", None)
+    if element is None or leaf.reference_value_size != leaf.block_size:
+        return False
+    is_lagrange = element.family == basix.ElementFamily.P and not element.discontinuous
+    return is_lagrange and element.degree == 1
+
+
+@numba.njit(cache=True)
+def _position(x, lower, scale):  # type: ignore[no-untyped-def]
+    """Position in a cell from 0 to 1, of points that are in it up to round-off."""
+    return min(max((x - lower) * scale, 0.0), 1.0)
+
+
+@numba.njit(cache=True, parallel=True)
+def _find_boxes(x, cell, lower, scale, group_of, group):  # type: ignore[no-untyped-def]
+    """Group of each point from those of the quarters (eighths) of its cell."""
+    for p in numba.prange(len(x)):
+        c = cell[p]
+        part = 0
+        for k in range(x.shape[1]):
+            upper_half = _position(x[p, k], lower[c, k], scale[k]) >= 0.5
+            part = 2 * part + int(upper_half)
+        group[p] = group_of[c, part]
+
+
+@numba.njit(cache=True, parallel=True)
+def _tabulate(  # type: ignore[no-untyped-def]
+    kind, x, cell, order, lower, index, shape, scale, half, width, rows, table
+):
+    """Products of the functions along the lines into ``table (n_points, n_rows, n_nodes)``.
+
+    ``rows (n_rows, 3)`` are the orders of derivatives in each direction.
+    """
+    n, dim = x.shape
+    nz = width if dim == 3 else 1
+    for chunk in numba.prange((n + _CHUNK - 1) // _CHUNK):
+        lines = np.ones((3, 3, width))
+        for k in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
+            p = order[k]
+            c = cell[p]
+            for m in range(dim):
+                t = _position(x[p, m], lower[c, m], scale[m])
+                tabulate_line(kind, index[c, m], t, shape[m], half[m], lines[m])
+                for a in range(width):
+                    lines[m, 1, a] *= scale[m]
+                    lines[m, 2, a] *= scale[m] * scale[m]
+            for r in range(len(rows)):
+                first, second, third = lines[0, rows[r, 0]], lines[1, rows[r, 1]], lines[2, 0]
+                if dim == 3:
+                    third = lines[2, rows[r, 2]]
+                target = table[k, r]
+                b = 0
+                for i in range(width):
+                    for j in range(width):
+                        both = first[i] * second[j]
+                        for m in range(nz):
+                            target[b] = both * third[m]
+                            b += 1
+
+
+@numba.njit(cache=True)
+def _mark_cells(values, offsets, corners, seen):  # type: ignore[no-untyped-def]
+    """Mark cells ``seen (n_groups, n_cells)`` all of whose corners are seen by a point."""
+    for g in range(len(offsets) - 1):
+        for k in range(offsets[g], offsets[g + 1]):
+            for c in range(len(corners)):
+                if not seen[g, c]:
+                    all_seen = True
+                    for corner in corners[c]:
+                        all_seen = all_seen and abs(values[k, corner]) > _ZERO
+                    seen[g, c] = all_seen
