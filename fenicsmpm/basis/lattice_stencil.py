@@ -110,8 +110,9 @@ class LatticeStencil:
         else:
             ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))
             boxes = (owned[:, None, :] + ends).reshape(-1, self._dim)
-            first, group = np.unique(boxes, axis=0, return_inverse=True)
-            first -= 1
+            nodes = lattice.nodes(boxes)
+            _, some, group = np.unique(nodes, return_index=True, return_inverse=True)
+            first = boxes[some] - 1
             self._group_of = group.reshape(-1, 2**self._dim).astype(np.int32)
         steps = itertools.product(range(self._width), repeat=self._dim)
         self._first = first
