@@ -74,6 +74,7 @@ class LatticeStencil:
         # by id; the space (which has no hash) is kept so that its id stays its own
         self._dofs: dict[int, tuple[Any, npt.NDArray[np.int32]]] = {}
         self._version = -1
+        self._order = self._offsets = np.empty(0, dtype=np.int64)
         self._tables: dict[int, npt.NDArray[np.float64]] = {}
 
     def _check_half_size(self, half_size: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
@@ -82,7 +83,7 @@ class LatticeStencil:
         if (half_size is not None) != (self._kind == GIMP):
             raise ValueError(
                 "half_size is the size of points for 'gimp', which needs it, and for nothing else: "
-                f"{self.name!r} with half_size={half_size}"
+                f"{self.name!r} with half_size={half_size!r}"
             )
         if half_size is None:
             return np.full(self._dim, 0.5)
@@ -93,7 +94,7 @@ class LatticeStencil:
         if not np.all((half > 0) & (half <= 0.5 + 1e-9)):
             raise ValueError(
                 f"half_size must be above 0 and at most half a cell, {spacing / 2} m, not "
-                f"{half_size}"
+                f"{half_size!r}"
             )
         return np.minimum(half, 0.5)
 
@@ -109,8 +110,9 @@ class LatticeStencil:
         else:
             ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))
             boxes = (owned[:, None, :] + ends).reshape(-1, self._dim)
-            first, group = np.unique(boxes, axis=0, return_inverse=True)
-            first -= 1
+            nodes = lattice.nodes(boxes)
+            _, some, group = np.unique(nodes, return_index=True, return_inverse=True)
+            first = boxes[some] - 1
             self._group_of = group.reshape(-1, 2**self._dim).astype(np.int32)
         steps = itertools.product(range(self._width), repeat=self._dim)
         self._first = first

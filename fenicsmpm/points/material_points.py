@@ -93,7 +93,7 @@ class MaterialPoints:
 
         n = len(data["x"])
         self.version = 0
-        self.grid_functions: tuple[str, Any] | None = None
+        self.grid_functions: tuple[str, npt.ArrayLike | None] | None = None
         self._coefficients: dict[str, PointField] = {}
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)
