@@ -318,6 +318,37 @@ def test_elastic_steps_leave_the_state():
     assert np.all(state == law.initial_state(50))
 
 
+@pytest.mark.parametrize("name", ["Hencky", *PLASTIC])
+@pytest.mark.parametrize("strain", [0.0, 1e-7, 0.02, 0.2])
+def test_tangent(name, strain):
+    """Differences of the stress, from undeformed and from plastic states, with equal strains."""
+    law, n = LAWS[name](), 20
+    state = law.initial_state(n)
+    F = np.tile(np.eye(3), (n, 1, 1))
+    for step in range(3):
+        if step > 0:
+            materials.stress(law, F, state=state)
+        F = F @ deformations(strain, n, seed=step)
+        F[0] = np.diag([1 + strain, 1, 1]) ** (step + 1)
+        F[1] = np.eye(3)
+
+        def stress(F):
+            J = np.linalg.det(F)[:, None, None]
+            return J * materials.stress(law, F, state=state.copy()) @ np.linalg.inv(F).mT
+
+        old = state.copy()
+        tangent = materials.tangent(law, F, state)
+        assert np.all(state == old)
+        h = 1e-5
+        for k, m in np.ndindex(3, 3):
+            d = np.zeros((3, 3))
+            d[k, m] = h
+            slope = (stress(F + d) - stress(F - d)) / (2 * h)
+            assert np.abs(slope - tangent[..., k, m]).max() < 1e-6 * np.abs(tangent).max()
+    if name != "Hencky":
+        assert (strain > 0.01) == np.any(law.state_field(state, "eps_p") > 0)
+
+
 # --- parameters ------------------------------------------------------------------------------
 
 

@@ -23,8 +23,8 @@ compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, fo
 class Law:
     """A constitutive law as functions of one point, compiled by numba.
 
-    Loops over points compile them in. They must neither raise nor allocate; a deformation gradient
-    with a determinant <= 0 must give NaN, which the loops look for.
+    Loops over points compile them in. They must not raise, and ``update`` should not allocate; a
+    deformation gradient with a determinant <= 0 must give NaN, which the loops look for.
 
     Args:
         update: ``update(F, L, parameters, state, sigma)``: from the deformation gradient F

@@ -8,7 +8,12 @@ import math
 
 import numpy as np
 
-from fenicsmpm.materials.hencky import deviatoric_strain, set_cauchy_stress, stored_energy
+from fenicsmpm.materials.hencky import (
+    deviatoric_strain,
+    set_cauchy_stress,
+    set_tangent,
+    stored_energy,
+)
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus, positive
 from fenicsmpm.materials.tensors import (
     compose,
@@ -47,14 +52,22 @@ def _trial_strain(F, state):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _equivalent_stress(mu, e):  # type: ignore[no-untyped-def]
+    """Von Mises stress sqrt(3/2) |2 mu e|."""
+    return mu * math.sqrt(6 * (e[0] ** 2 + e[1] ** 2 + e[2] ** 2))
+
+
+@compiled
 def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
-    """Solve q - 3 mu d = sigma_y(eps_p + d) for d, where q exceeds sigma_y(eps_p).
+    """Increment of eps_p: zero, or the d with q - 3 mu d = sigma_y(eps_p + d).
 
     Newton's method converges from any side: the function is monotone, and convex or concave. With
     linear hardening its first step is exact.
     """
     mu = parameters[0]
     d = 0.0
+    if not q > yield_stress(eps_p, parameters)[0]:
+        return d
     for _ in range(30):
         value, slope = yield_stress(eps_p + d, parameters)
         step = (q - 3 * mu * d - value) / (3 * mu + slope)
@@ -70,10 +83,9 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     change = volume_change(F)
     log_j = math.log1p(change)
     e, n = _trial_strain(F, state)
-    q = mu * math.sqrt(6 * (e[0] ** 2 + e[1] ** 2 + e[2] ** 2))  # sqrt(3/2) |2 mu e|
-    value, _ = yield_stress(state[_EPS_P], parameters)
-    if q > value:
-        d = _plastic_increment(q, state[_EPS_P], parameters)
+    q = _equivalent_stress(mu, e)
+    d = _plastic_increment(q, state[_EPS_P], parameters)
+    if d > 0:
         factor = 1 - 3 * mu * d / q
         e = (factor * e[0], factor * e[1], factor * e[2])
         state[_EPS_P] += d
@@ -103,6 +115,22 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
     e, _ = _trial_strain(F, state)
     elastic = stored_energy(parameters[0], parameters[1], math.log1p(volume_change(F)), e)
     return elastic + 0.5 * parameters[5] * state[_EPS_P] ** 2
+
+
+@compiled
+def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
+    mu = parameters[0]
+    e, n = _trial_strain(F, state)
+    q = _equivalent_stress(mu, e)
+    d = _plastic_increment(q, state[_EPS_P], parameters)
+    factor, c = 1.0, 0.0
+    if d > 0:
+        # dev tau = 2 mu factor e with factor = 1 - 3 mu d / q, dd/dq = 1 / (3 mu + slope)
+        factor = 1 - 3 * mu * d / q
+        slope = yield_stress(state[_EPS_P] + d, parameters)[1]
+        c = 36 * mu**4 / q**2 * (d / q - 1 / (3 * mu + slope))
+    log_j = math.log1p(volume_change(F))
+    set_tangent(F, log_j, e, n, factor * mu, parameters[1], c, dPdF)
 
 
 class VonMises(Law):
@@ -190,6 +218,7 @@ class VonMises(Law):
             p_wave_modulus(self.mu, self.kappa),
             {"C_p_inverse": ((3, 3), np.eye(3)), "eps_p": ((), 0.0), "dissipation": ((), 0.0)},
             _energy,
+            _tangent,
         )
 
     def __repr__(self) -> str:
