@@ -1,6 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""Constitutive laws."""
+"""Constitutive laws: in UFL, and at points, compiled by numba."""
 
+from fenicsmpm.materials.evaluate import energy, stress, tangent
+from fenicsmpm.materials.fluid import NewtonianFluid
+from fenicsmpm.materials.hencky import Hencky
 from fenicsmpm.materials.hyperelastic import VOLUMETRIC_LAWS, NeoHookean
+from fenicsmpm.materials.law import Law, compiled
+from fenicsmpm.materials.plasticity import VonMises
 
-__all__ = ["VOLUMETRIC_LAWS", "NeoHookean"]
+__all__ = [
+    "VOLUMETRIC_LAWS",
+    "Hencky",
+    "Law",
+    "NeoHookean",
+    "NewtonianFluid",
+    "VonMises",
+    "compiled",
+    "energy",
+    "stress",
+    "tangent",
+]

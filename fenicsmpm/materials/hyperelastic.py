@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hyperelastic laws in UFL, split into a deviatoric and a volumetric part."""
+"""Neo-Hookean law: in UFL, split into a deviatoric and a volumetric part, and at points."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import ufl
+
+from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
+from fenicsmpm.materials.tensors import metric_change, volume_change
 
 # g(J) = U'(J) / kappa [-], the volumetric laws that the papers use
 VOLUMETRIC_LAWS: dict[str, Callable[[Any], Any]] = {
@@ -15,6 +19,54 @@ VOLUMETRIC_LAWS: dict[str, Callable[[Any], Any]] = {
     "miehe": lambda J: 1 - 1 / J,
     "simo-taylor": lambda J: (J - 1 / J) / 2,
 }
+
+_quadratic, _miehe, _simo_taylor = (compiled(law) for law in VOLUMETRIC_LAWS.values())
+
+
+@compiled
+def _volumetric_strain(J, law):  # type: ignore[no-untyped-def]
+    """g(J), by the number of the law in VOLUMETRIC_LAWS."""
+    if law == 0:
+        return _quadratic(J)
+    if law == 1:
+        return _miehe(J)
+    return _simo_taylor(J)
+
+
+@compiled
+def _volumetric_energy(J, law):  # type: ignore[no-untyped-def]
+    """U(J) / kappa, the integral of g from 1 to J."""
+    if law == 0:
+        return 0.5 * (J - 1) ** 2
+    if law == 1:
+        return J - 1 - math.log(J)
+    return 0.25 * (J - 1) * (J + 1) - 0.5 * math.log(J)
+
+
+@compiled
+def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+    mu, kappa = parameters[0], parameters[1]
+    J = 1 + volume_change(F)
+    mean = kappa * _volumetric_strain(J, parameters[2])
+    b = metric_change(F)
+    third = (b[0] + b[1] + b[2]) / 3
+    shear = mu * J ** (-5 / 3)  # NaN for J < 0
+    sigma[0, 0] = shear * (b[0] - third) + mean
+    sigma[1, 1] = shear * (b[1] - third) + mean
+    sigma[2, 2] = shear * (b[2] - third) + mean
+    sigma[0, 1] = sigma[1, 0] = shear * b[3]
+    sigma[0, 2] = sigma[2, 0] = shear * b[4]
+    sigma[1, 2] = sigma[2, 1] = shear * b[5]
+
+
+@compiled
+def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
+    J = 1 + volume_change(F)
+    b = metric_change(F)
+    # I1_bar - 3 without cancellation: J^(-2/3) (tr(b) - 3) + 3 (J^(-2/3) - 1)
+    power = math.expm1(-2 / 3 * math.log(J))
+    deviatoric = (1 + power) * (b[0] + b[1] + b[2]) + 3 * power
+    return 0.5 * parameters[0] * deviatoric + parameters[1] * _volumetric_energy(J, parameters[2])
 
 
 class NeoHookean:
@@ -82,6 +134,18 @@ class NeoHookean:
             J: its determinant.
         """
         return self.mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3)
+
+    def pointwise(self) -> Law:
+        """The law at a point: stress from the deformation alone, for explicit steps.
+
+        Raises:
+            ValueError: for nu = 0.5.
+        """
+        mu, kappa = elastic_moduli(self.E, self.nu)
+        number = list(VOLUMETRIC_LAWS).index(self.volumetric)
+        return Law(
+            _update, np.array([mu, kappa, number]), p_wave_modulus(mu, kappa), energy=_energy
+        )
 
     def __repr__(self) -> str:
         """Parameters with units."""

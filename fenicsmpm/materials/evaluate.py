@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: MIT
+"""Constitutive laws at many points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.materials.law import Law
+
+Array = npt.NDArray[np.float64]
+
+
+def stress(
+    law: Law, F: npt.ArrayLike, L: npt.ArrayLike | None = None, state: Array | None = None
+) -> Array:
+    """Cauchy stress at points, and their new state.
+
+    Args:
+        law: constitutive law.
+        F: deformation gradients ``(n, 3, 3)``.
+        L: velocity gradients ``(n, 3, 3)`` [1/s]; zero if not given.
+        state: ``(n, law.n_state)``, float64, changed in place; that of undeformed points if not
+            given.
+
+    Returns:
+        ``(n, 3, 3)`` [Pa].
+
+    Raises:
+        ValueError: for arrays of wrong shape.
+    """
+    F, state = _checked(law, F, state)
+    L = np.zeros_like(F) if L is None else np.asarray(L, dtype=np.float64)
+    if L.shape != F.shape:
+        raise ValueError(f"velocity gradients must have the shape of F, {F.shape}: {L.shape}")
+    sigma = np.empty_like(F)
+    _stress(law.update, F, L, law.parameters, state, sigma)
+    return sigma
+
+
+def energy(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
+    """Free energy per initial volume at points, ``(n,)`` [J/m^3].
+
+    Args:
+        law: constitutive law that has an energy.
+        F: deformation gradients ``(n, 3, 3)``.
+        state: ``(n, law.n_state)``; that of undeformed points if not given.
+
+    Raises:
+        ValueError: for a law without an energy or arrays of wrong shape.
+    """
+    if law.energy is None:
+        raise ValueError(f"this law has no energy: {law}")
+    F, state = _checked(law, F, state)
+    result = np.empty(len(F))
+    _energy(law.energy, F, law.parameters, state, result)
+    return result
+
+
+def tangent(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
+    """Derivative dP/dF of the first Piola-Kirchhoff stress at points, ``(n, 3, 3, 3, 3)`` [Pa].
+
+    Args:
+        law: constitutive law that has a tangent.
+        F: deformation gradients after the step, ``(n, 3, 3)``.
+        state: ``(n, law.n_state)`` before the step, not changed; that of undeformed points if not
+            given.
+
+    Raises:
+        ValueError: for a law without a tangent or arrays of wrong shape.
+    """
+    if law.tangent is None:
+        raise ValueError(f"this law has no tangent: {law}")
+    F, state = _checked(law, F, state)
+    result = np.empty((len(F), 3, 3, 3, 3))
+    _tangent(law.tangent, F, law.parameters, state, result)
+    return result
+
+
+def _checked(law: Law, F: npt.ArrayLike, state: Array | None) -> tuple[Array, Array]:
+    F = np.asarray(F, dtype=np.float64)
+    if F.ndim != 3 or F.shape[1:] != (3, 3):
+        raise ValueError(f"deformation gradients must have shape (n, 3, 3): {F.shape}")
+    if state is None:
+        state = law.initial_state(len(F))
+    if state.shape != (len(F), law.n_state) or state.dtype != np.float64:
+        raise ValueError(
+            f"the state must be float64 of shape {(len(F), law.n_state)}, as law.initial_state "
+            f"makes it: {state.dtype} of shape {state.shape}"
+        )
+    return F, state
+
+
+# Compiled for each law, since its function is a part of the types; numba cannot cache that.
+
+
+@numba.njit(parallel=True)
+def _stress(update: Any, F: Any, L: Any, parameters: Any, state: Any, sigma: Any) -> None:
+    for p in numba.prange(len(F)):
+        update(F[p], L[p], parameters, state[p], sigma[p])
+
+
+@numba.njit(parallel=True)
+def _energy(function: Any, F: Any, parameters: Any, state: Any, result: Any) -> None:
+    for p in numba.prange(len(F)):
+        result[p] = function(F[p], parameters, state[p])
+
+
+@numba.njit(parallel=True)
+def _tangent(function: Any, F: Any, parameters: Any, state: Any, result: Any) -> None:
+    for p in numba.prange(len(F)):
+        function(F[p], parameters, state[p], result[p])

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""Weakly compressible Newtonian fluid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fenicsmpm.materials.law import Law, compiled, positive
+from fenicsmpm.materials.tensors import volume_change
+
+
+@compiled
+def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+    kappa, mu = parameters[0], parameters[1]
+    change = volume_change(F)
+    mean = kappa * change if change > -1 else math.nan
+    mean -= 2 * mu * (L[0, 0] + L[1, 1] + L[2, 2]) / 3
+    sigma[0, 0] = mean + 2 * mu * L[0, 0]
+    sigma[1, 1] = mean + 2 * mu * L[1, 1]
+    sigma[2, 2] = mean + 2 * mu * L[2, 2]
+    sigma[0, 1] = sigma[1, 0] = mu * (L[0, 1] + L[1, 0])
+    sigma[0, 2] = sigma[2, 0] = mu * (L[0, 2] + L[2, 0])
+    sigma[1, 2] = sigma[2, 1] = mu * (L[1, 2] + L[2, 1])
+
+
+@compiled
+def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
+    return 0.5 * parameters[0] * volume_change(F) ** 2
+
+
+class NewtonianFluid(Law):
+    """Newtonian fluid with a bulk modulus (F-bar paper, section 4.3).
+
+    Cauchy stress sigma = kappa (J - 1) I + 2 mu dev(sym L); energy kappa/2 (J - 1)^2 per initial
+    volume. The paper says that the equation of state has a bulk modulus, not which one it is; where
+    fluids are nearly incompressible, all agree.
+
+    Of F only its determinant matters: in long flows F may be replaced by any tensor of the same
+    determinant, before round-off spoils that of a tensor with large shears.
+
+    Args:
+        kappa: bulk modulus [Pa], positive.
+        mu: dynamic viscosity [Pa s], not negative. The wave speed does not contain it: explicit
+            steps of a very viscous fluid are also bounded by density h^2 / (2 mu).
+
+    Attributes:
+        kappa: bulk modulus [Pa].
+        mu: dynamic viscosity [Pa s].
+
+    Raises:
+        ValueError: for parameters out of range.
+    """
+
+    def __init__(self, kappa: float, mu: float = 0.0) -> None:
+        """Check and store the parameters."""
+        positive(kappa, "kappa", "bulk modulus", "Pa")
+        if not (math.isfinite(mu) and mu >= 0):
+            raise ValueError(f"viscosity must be finite and not negative: mu = {mu} Pa s")
+        self.kappa, self.mu = kappa, mu
+        super().__init__(_update, np.array([kappa, mu]), kappa, energy=_energy)
+
+    def __repr__(self) -> str:
+        """Parameters with units."""
+        return f"NewtonianFluid(kappa={self.kappa:g} Pa, mu={self.mu:g} Pa s)"

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Hencky's law: linear in the logarithmic strain."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
+from fenicsmpm.materials.tensors import (
+    compose,
+    eigen,
+    inverse,
+    metric_change,
+    rows,
+    volume_change,
+)
+
+
+@compiled
+def deviatoric_strain(b):  # type: ignore[no-untyped-def]
+    """Principal values and directions of the deviatoric logarithmic strain 1/2 dev(ln b).
+
+    Args:
+        b: symmetric tensor b - I.
+
+    Returns:
+        Three values [-], and a tuple of 9 with the directions in its columns.
+    """
+    change, n = eigen(b)
+    e1 = 0.5 * math.log1p(change[0])
+    e2 = 0.5 * math.log1p(change[1])
+    e3 = 0.5 * math.log1p(change[2])
+    mean = (e1 + e2 + e3) / 3
+    return (e1 - mean, e2 - mean, e3 - mean), n
+
+
+@compiled
+def set_cauchy_stress(sigma, mean, s, n, jacobian):  # type: ignore[no-untyped-def]
+    """Set sigma to (mean I + s) / J, with principal values s in directions n."""
+    t11, t22, t33, t12, t13, t23 = compose(s, n)
+    r = 1 / jacobian
+    sigma[0, 0] = r * (t11 + mean)
+    sigma[1, 1] = r * (t22 + mean)
+    sigma[2, 2] = r * (t33 + mean)
+    sigma[0, 1] = sigma[1, 0] = r * t12
+    sigma[0, 2] = sigma[2, 0] = r * t13
+    sigma[1, 2] = sigma[2, 1] = r * t23
+
+
+@compiled
+def stored_energy(mu, kappa, log_j, e):  # type: ignore[no-untyped-def]
+    """kappa/2 (ln J)^2 + mu e : e per initial volume, with deviatoric principal strains e."""
+    return 0.5 * kappa * log_j**2 + mu * (e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
+
+
+@compiled
+def set_tangent(F, log_j, e, n, mu, kappa, c, dPdF):  # type: ignore[no-untyped-def]
+    """Set dPdF where principal Kirchhoff stresses depend on principal logarithmic strains.
+
+    With d tau_a / d eps_b = kappa + 2 mu (delta_ab - 1/3) + c e_a e_b. In principal axes and with
+    g = dF F^-1, d tau_aa = sum_b (d tau_a / d eps_b) g_bb; off the diagonal, d tau_ab is
+    (tau_a - tau_b) / (b_a - b_b) times that of b = F F^T; and dP = (d tau - tau g^T) F^-T.
+
+    Args:
+        F: deformation gradient.
+        log_j: ln J.
+        e: principal deviatoric strains, before the return in plasticity.
+        n: tuple of 9 with the principal directions in its columns.
+        mu: tau_a - tau_b over 2 (e_a - e_b) [Pa].
+        kappa: bulk modulus [Pa].
+        c: see above [Pa].
+        dPdF: ``(3, 3, 3, 3)``, to be set.
+    """
+    work = np.empty((5, 3, 3))
+    # directions by columns, the same pulled back, and the factors of g_cc, g_ac and g_ca
+    N, W, direct, along, across = work[0], work[1], work[2], work[3], work[4]
+    inverse_F = inverse(rows(F))
+    for a in range(3):
+        for i in range(3):
+            N[i, a] = n[3 * i + a]
+        for i in range(3):
+            W[i, a] = (
+                inverse_F[3 * i] * N[0, a]
+                + inverse_F[3 * i + 1] * N[1, a]
+                + inverse_F[3 * i + 2] * N[2, a]
+            )
+    for a in range(3):
+        tau = kappa * log_j + 2 * mu * e[a]
+        b_a = math.exp(2 * e[a] + 2 * log_j / 3)
+        for j in range(3):
+            b_j = math.exp(2 * e[j] + 2 * log_j / 3)
+            y = 2 * (e[a] - e[j])  # ln(b_a / b_j)
+            slope = mu * (y / math.expm1(y) if y != 0 else 1.0) / b_j
+            direct[a, j] = kappa - 2 * mu / 3 + c * e[a] * e[j]
+            along[a, j] = slope * b_j
+            across[a, j] = slope * b_a - tau
+        direct[a, a] += 2 * mu - tau
+        along[a, a] = across[a, a] = 0.0
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    total = 0.0
+                    for a in range(3):
+                        for b in range(3):
+                            total += N[i, a] * (
+                                direct[a, b] * W[j, a] * N[k, b] * W[m, b]
+                                + along[a, b] * W[j, b] * N[k, a] * W[m, b]
+                                + across[a, b] * W[j, b] * N[k, b] * W[m, a]
+                            )
+                    dPdF[i, j, k, m] = total
+
+
+@compiled
+def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+    mu, kappa = parameters[0], parameters[1]
+    change = volume_change(F)
+    e, n = deviatoric_strain(metric_change(F))
+    s = (2 * mu * e[0], 2 * mu * e[1], 2 * mu * e[2])
+    set_cauchy_stress(sigma, kappa * math.log1p(change), s, n, 1 + change)
+
+
+@compiled
+def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
+    e, _ = deviatoric_strain(metric_change(F))
+    return stored_energy(parameters[0], parameters[1], math.log1p(volume_change(F)), e)
+
+
+@compiled
+def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
+    e, n = deviatoric_strain(metric_change(F))
+    log_j = math.log1p(volume_change(F))
+    set_tangent(F, log_j, e, n, parameters[0], parameters[1], 0.0, dPdF)
+
+
+class Hencky(Law):
+    """Hencky's law (F-bar paper, sections 4.2 and 4.4; conservation paper, equation A.14).
+
+    Kirchhoff stress tau = J sigma = kappa ln(J) I + 2 mu dev(eps), with the logarithmic strain
+    eps = 1/2 ln(F F^T); energy kappa/2 (ln J)^2 + mu dev(eps) : dev(eps) per initial volume.
+
+    Args:
+        E: Young's modulus [Pa], positive.
+        nu: Poisson's ratio [-], -1 < nu < 0.5.
+
+    Attributes:
+        E: Young's modulus [Pa].
+        nu: Poisson's ratio [-].
+        mu: shear modulus [Pa].
+        kappa: bulk modulus [Pa].
+
+    Raises:
+        ValueError: for parameters out of range.
+    """
+
+    def __init__(self, E: float, nu: float) -> None:
+        """Check and store the parameters."""
+        self.E, self.nu = E, nu
+        self.mu, self.kappa = elastic_moduli(E, nu)
+        modulus = p_wave_modulus(self.mu, self.kappa)
+        super().__init__(
+            _update, np.array([self.mu, self.kappa]), modulus, energy=_energy, tangent=_tangent
+        )
+
+    def __repr__(self) -> str:
+        """Parameters with units."""
+        return f"Hencky(E={self.E:g} Pa, nu={self.nu:g})"

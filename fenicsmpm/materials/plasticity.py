@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: MIT
+"""Von Mises plasticity with Hencky's law, by radial return."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+import numpy as np
+
+from fenicsmpm.materials.hencky import (
+    deviatoric_strain,
+    set_cauchy_stress,
+    set_tangent,
+    stored_energy,
+)
+from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus, positive
+from fenicsmpm.materials.tensors import (
+    compose,
+    congruence,
+    inverse,
+    metric_change,
+    rows,
+    volume_change,
+)
+
+logger = logging.getLogger(__name__)
+
+# Columns of the state, in the order of VonMises.state
+_EPS_P, _DISSIPATION = 9, 10
+
+
+@compiled
+def yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
+    """Yield stress sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative."""
+    sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
+    excess = (sigma_y - sigma_r) * math.exp(-eta * eps_p)
+    return sigma_r + excess + H * eps_p, H - eta * excess
+
+
+@compiled
+def _trial_strain(F, state):  # type: ignore[no-untyped-def]
+    """Deviatoric principal strains and directions of b_e = F C_p^-1 F^T."""
+    b = metric_change(F)
+    # plus F (C_p^-1 - I) F^T
+    p = congruence(
+        rows(F), (state[0] - 1, state[4] - 1, state[8] - 1, state[1], state[2], state[5])
+    )
+    return deviatoric_strain(
+        (b[0] + p[0], b[1] + p[1], b[2] + p[2], b[3] + p[3], b[4] + p[4], b[5] + p[5])
+    )
+
+
+@compiled
+def _equivalent_stress(mu, e):  # type: ignore[no-untyped-def]
+    """Von Mises stress sqrt(3/2) |2 mu e|."""
+    return mu * math.sqrt(6 * (e[0] ** 2 + e[1] ** 2 + e[2] ** 2))
+
+
+@compiled
+def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
+    """Increment of eps_p: zero, or the d with q - 3 mu d = sigma_y(eps_p + d).
+
+    Newton's method converges from any side: the function is monotone, and convex or concave. With
+    linear hardening its first step is exact.
+    """
+    mu = parameters[0]
+    d = 0.0
+    if not q > yield_stress(eps_p, parameters)[0]:
+        return d
+    for _ in range(30):
+        value, slope = yield_stress(eps_p + d, parameters)
+        step = (q - 3 * mu * d - value) / (3 * mu + slope)
+        d += step
+        if not abs(step) > 1e-15 * d:
+            break
+    return d
+
+
+@compiled
+def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+    mu, kappa = parameters[0], parameters[1]
+    change = volume_change(F)
+    log_j = math.log1p(change)
+    e, n = _trial_strain(F, state)
+    q = _equivalent_stress(mu, e)
+    d = _plastic_increment(q, state[_EPS_P], parameters)
+    if d > 0:
+        factor = 1 - 3 * mu * d / q
+        e = (factor * e[0], factor * e[1], factor * e[2])
+        state[_EPS_P] += d
+        value, _ = yield_stress(state[_EPS_P], parameters)
+        state[_DISSIPATION] += (value - parameters[5] * state[_EPS_P]) * d
+        # C_p^-1 = F^-1 b_e F^-T; its volume comes from J, so that errors do not add up
+        stretch = math.exp(2 * log_j / 3)
+        b = compose(
+            (
+                stretch * math.exp(2 * e[0]),
+                stretch * math.exp(2 * e[1]),
+                stretch * math.exp(2 * e[2]),
+            ),
+            n,
+        )
+        c = congruence(inverse(rows(F)), b)
+        state[0], state[4], state[8] = c[0], c[1], c[2]
+        state[1] = state[3] = c[3]
+        state[2] = state[6] = c[4]
+        state[5] = state[7] = c[5]
+    s = (2 * mu * e[0], 2 * mu * e[1], 2 * mu * e[2])
+    set_cauchy_stress(sigma, kappa * log_j, s, n, 1 + change)
+
+
+@compiled
+def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
+    e, _ = _trial_strain(F, state)
+    elastic = stored_energy(parameters[0], parameters[1], math.log1p(volume_change(F)), e)
+    return elastic + 0.5 * parameters[5] * state[_EPS_P] ** 2
+
+
+@compiled
+def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
+    mu = parameters[0]
+    e, n = _trial_strain(F, state)
+    q = _equivalent_stress(mu, e)
+    d = _plastic_increment(q, state[_EPS_P], parameters)
+    factor, c = 1.0, 0.0
+    if d > 0:
+        # dev tau = 2 mu factor e with factor = 1 - 3 mu d / q, dd/dq = 1 / (3 mu + slope)
+        factor = 1 - 3 * mu * d / q
+        slope = yield_stress(state[_EPS_P] + d, parameters)[1]
+        c = 36 * mu**4 / q**2 * (d / q - 1 / (3 * mu + slope))
+    log_j = math.log1p(volume_change(F))
+    set_tangent(F, log_j, e, n, factor * mu, parameters[1], c, dPdF)
+
+
+class VonMises(Law):
+    """Hencky's law with von Mises (J2) plasticity (F-bar paper, section 4; conservation, 7.3, 7.4).
+
+    The Kirchhoff stress tau = J sigma obeys sqrt(3/2) |dev tau| <= sigma_y(eps_p), with the
+    accumulated plastic strain eps_p (its rate is sqrt(2/3) times the norm of the plastic one) and
+
+        sigma_y(eps_p) = sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p .
+
+    Without sigma_r this is linear hardening sigma_y + H eps_p (conservation, equation 63). The
+    elastic part of the deformation is b_e = F C_p^-1 F^T; the flow is associative, implicit in time
+    (radial return of the logarithmic strain) and keeps volume.
+
+    The uniaxial strength sigma_y belongs to a shear strength sigma_y / sqrt(3), in plane strain and
+    in simple shear; to an undrained strength s_u in triaxial compression, sigma_y = 2 s_u. The
+    strengths kappa of the landslide in the F-bar paper (section 4.4) are printed without a yield
+    function. We take them as bounds of |dev tau|, so sigma_y = sqrt(3/2) kappa: then 40.82 and
+    2.45 kPa are s_u = 25 and 1.5 kPa in triaxial compression, such round numbers in no other norm.
+
+    State: the inverse plastic right Cauchy-Green tensor "C_p_inverse" ``(3, 3)``, "eps_p", and
+    "dissipation" [J/m^3], plastic work per initial volume that is not stored. With the increment d
+    of eps_p it grows by (sigma_y(eps_p) - H eps_p) d, at the end of the step (conservation, below
+    equation 47); what hardening stores, H eps_p^2 / 2, is part of the energy.
+
+    Args:
+        E: Young's modulus [Pa], positive.
+        nu: Poisson's ratio [-], -1 < nu < 0.5.
+        sigma_y: initial yield stress in uniaxial tension [Pa], positive.
+        H: linear hardening modulus [Pa], not negative.
+        sigma_r: residual yield stress [Pa], positive; below sigma_y the material softens, above it
+            hardens up to there. Softening localizes in bands as wide as the mesh allows, since the
+            law has no length scale: a warning is logged.
+        eta: rate at which sigma_r is approached [-], positive with sigma_r.
+
+    Attributes:
+        E: Young's modulus [Pa].
+        nu: Poisson's ratio [-].
+        mu: shear modulus [Pa].
+        kappa: bulk modulus [Pa].
+
+    Raises:
+        ValueError: for parameters out of range, or softening so steep that stress is not unique.
+    """
+
+    def __init__(
+        self,
+        E: float,
+        nu: float,
+        sigma_y: float,
+        H: float = 0.0,
+        sigma_r: float | None = None,
+        eta: float = 0.0,
+    ) -> None:
+        """Check and store the parameters."""
+        self.E, self.nu = E, nu
+        self.mu, self.kappa = elastic_moduli(E, nu)
+        positive(sigma_y, "sigma_y", "yield stress", "Pa")
+        if not (math.isfinite(H) and H >= 0):
+            raise ValueError(
+                f"hardening modulus must be finite and not negative: H = {H} Pa. "
+                "Softening is described by sigma_r and eta."
+            )
+        if sigma_r is None:
+            if eta != 0:
+                raise ValueError(f"eta = {eta} without a residual yield stress: give sigma_r, too")
+            sigma_r = sigma_y
+        else:
+            positive(sigma_r, "sigma_r", "residual yield stress", "Pa")
+            positive(eta, "eta", "rate of softening", "(no unit)")
+        steepest = eta * (sigma_y - sigma_r) - H
+        if steepest >= 3 * self.mu:
+            raise ValueError(
+                f"softening is steeper than the elastic unloading: eta (sigma_y - sigma_r) - H = "
+                f"{steepest:g} Pa must be less than 3 mu = {3 * self.mu:g} Pa"
+            )
+        if steepest > 0:
+            logger.warning(
+                "softening without a length scale: the width of shear bands, and with it the "
+                "dissipation, depends on the mesh"
+            )
+        super().__init__(
+            _update,
+            np.array([self.mu, self.kappa, sigma_y, sigma_r, eta, H]),
+            p_wave_modulus(self.mu, self.kappa),
+            {"C_p_inverse": ((3, 3), np.eye(3)), "eps_p": ((), 0.0), "dissipation": ((), 0.0)},
+            _energy,
+            _tangent,
+        )
+
+    def __repr__(self) -> str:
+        """Parameters with units."""
+        _, _, sigma_y, sigma_r, eta, H = self.parameters
+        return (
+            f"VonMises(E={self.E:g} Pa, nu={self.nu:g}, sigma_y={sigma_y:g} Pa, H={H:g} Pa, "
+            f"sigma_r={sigma_r:g} Pa, eta={eta:g})"
+        )

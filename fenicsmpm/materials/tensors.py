@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: MIT
+"""Strains and eigenvalues of 3x3 tensors at a point, in scalars, for numba.
+
+Symmetric tensors are tuples (11, 22, 33, 12, 13, 23), others tuples of 9 by rows. Small strains
+keep all their digits, because differences from the identity are computed from that of F.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fenicsmpm.materials.law import compiled
+
+SQRT_3 = math.sqrt(3)
+
+
+@compiled
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def _combine(s, a, t, b):  # type: ignore[no-untyped-def]
+    """Vector s a + t b."""
+    return s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2]
+
+
+@compiled
+def volume_change(F):  # type: ignore[no-untyped-def]
+    """J - 1 with J = det F: sum of the principal invariants of F - I."""
+    a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
+    d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
+    g, h, i = F[2, 0], F[2, 1], F[2, 2] - 1
+    second = (a * e - b * d) + (a * i - c * g) + (e * i - f * h)
+    third = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return (a + e + i) + second + third
+
+
+@compiled
+def metric_change(F):  # type: ignore[no-untyped-def]
+    """F F^T - I, a symmetric tensor."""
+    a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
+    d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
+    g, h, i = F[2, 0], F[2, 1], F[2, 2] - 1
+    return (
+        2 * a + (a * a + b * b + c * c),
+        2 * e + (d * d + e * e + f * f),
+        2 * i + (g * g + h * h + i * i),
+        b + d + (a * d + b * e + c * f),
+        c + g + (a * g + b * h + c * i),
+        f + h + (d * g + e * h + f * i),
+    )
+
+
+@compiled
+def congruence(A, S):  # type: ignore[no-untyped-def]
+    """A S A^T for a tuple A of 9 and a symmetric S, a symmetric tensor."""
+    a, b, c = A[0:3], A[3:6], A[6:9]
+    x, y, z = (S[0], S[3], S[4]), (S[3], S[1], S[5]), (S[4], S[5], S[2])
+    p = _dot(a, x), _dot(a, y), _dot(a, z)
+    q = _dot(b, x), _dot(b, y), _dot(b, z)
+    r = _dot(c, x), _dot(c, y), _dot(c, z)
+    return _dot(p, a), _dot(q, b), _dot(r, c), _dot(p, b), _dot(p, c), _dot(q, c)
+
+
+@compiled
+def rows(F):  # type: ignore[no-untyped-def]
+    """The tuple of 9 of an array (3, 3)."""
+    return (
+        F[0, 0], F[0, 1], F[0, 2],
+        F[1, 0], F[1, 1], F[1, 2],
+        F[2, 0], F[2, 1], F[2, 2],
+    )  # fmt: skip
+
+
+@compiled
+def inverse(A):  # type: ignore[no-untyped-def]
+    """Inverse of a tuple of 9."""
+    a, b, c, d, e, f, g, h, i = A
+    p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
+    s = 1 / (a * p + b * q + c * r)
+    return (
+        s * p, s * (c * h - b * i), s * (b * f - c * e),
+        s * q, s * (a * i - c * g), s * (c * d - a * f),
+        s * r, s * (b * g - a * h), s * (a * e - b * d),
+    )  # fmt: skip
+
+
+@compiled
+def compose(w, n):  # type: ignore[no-untyped-def]
+    """Symmetric tensor with eigenvalues w and eigenvectors in the columns of n."""
+    return congruence(n, (w[0], w[1], w[2], 0.0, 0.0, 0.0))
+
+
+@compiled
+def _normal(a, b, c):  # type: ignore[no-untyped-def]
+    """Unit normal of the plane that three vectors span: their longest cross product."""
+    n, p, q = _cross(a, b), _cross(a, c), _cross(b, c)
+    nn, pp, qq = _dot(n, n), _dot(p, p), _dot(q, q)
+    if pp > nn:
+        n, nn = p, pp
+    if qq > nn:
+        n, nn = q, qq
+    s = 1 / math.sqrt(nn)
+    return s * n[0], s * n[1], s * n[2]
+
+
+@compiled
+def _perpendicular(n):  # type: ignore[no-untyped-def]
+    """A unit vector normal to the unit vector n."""
+    if abs(n[0]) > abs(n[1]):
+        s = 1 / math.sqrt(n[0] * n[0] + n[2] * n[2])
+        return -s * n[2], 0.0, s * n[0]
+    s = 1 / math.sqrt(n[1] * n[1] + n[2] * n[2])
+    return 0.0, s * n[2], -s * n[1]
+
+
+@compiled
+def eigen(A):  # type: ignore[no-untyped-def]
+    """Eigenvalues and eigenvectors of a symmetric tensor.
+
+    The eigenvalue that is far from both others follows, with its eigenvector, from the
+    characteristic polynomial; what remains is a rotation in the plane normal to it. Therefore
+    equal and nearly equal eigenvalues are no special case, errors are a few units of round-off of
+    the largest eigenvalue, and eigenvectors are orthonormal.
+
+    Returns:
+        Eigenvalues in no order, and a tuple of 9 with the eigenvectors in its columns.
+    """
+    mean = (A[0] + A[1] + A[2]) / 3
+    d1, d2, d3, a12, a13, a23 = A[0] - mean, A[1] - mean, A[2] - mean, A[3], A[4], A[5]
+    p2 = (d1 * d1 + d2 * d2 + d3 * d3 + 2 * (a12 * a12 + a13 * a13 + a23 * a23)) / 6
+    if not p2 > 1e-140:  # spherical; also keeps p^4 from underflow
+        return (A[0], A[1], A[2]), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    p = math.sqrt(p2)
+    # the deviator's eigenvalues are p x with x^3 - 3 x = 2 r
+    r = _dot((d1, a12, a13), _cross((a12, d2, a23), (a13, a23, d3))) / (2 * p2 * p)
+    half = min(abs(r), 1.0)
+    x = SQRT_3 + (2 - SQRT_3) * half  # chord to the root in [sqrt(3), 2], then Newton's method
+    for _ in range(3):
+        x = (2 * x * x * x + 2 * half) / (3 * x * x - 3)
+    w = math.copysign(p * x, r)
+    n = _normal((d1 - w, a12, a13), (a12, d2 - w, a23), (a13, a23, d3 - w))
+    u = _perpendicular(n)
+    v = _cross(n, u)
+    du = _dot((d1, a12, a13), u), _dot((a12, d2, a23), u), _dot((a13, a23, d3), u)
+    dv = _dot((d1, a12, a13), v), _dot((a12, d2, a23), v), _dot((a13, a23, d3), v)
+    uu, vv, uv = _dot(u, du), _dot(v, dv), _dot(u, dv)
+    if uv != 0:  # Jacobi rotation of u and v
+        theta = (vv - uu) / (2 * uv)
+        t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1))
+        c = 1 / math.sqrt(t * t + 1)
+        u, v = _combine(c, u, -t * c, v), _combine(t * c, u, c, v)
+        uu, vv = uu - t * uv, vv + t * uv
+    return (
+        (mean + w, mean + uu, mean + vv),
+        (n[0], u[0], v[0], n[1], u[1], v[1], n[2], u[2], v[2]),
+    )
