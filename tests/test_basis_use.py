@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Splines and uGIMP in use: projections, active cells, dynamics; the choice, and what it refuses."""
+"""Splines and uGIMP in use: projections, active cells, dynamics, the choice and its errors."""
 
 import numpy as np
 import pytest
