@@ -67,7 +67,7 @@ class ImplicitMPM:
         carried: further points that move with the grid, such as those that carry loads; each gets
             a field "u" if it has none.
         bcs: Dirichlet conditions on U, whose displacement is the share ``scheme.share`` of the
-            step's increment (1 but for ``GeneralizedAlpha``); supports that move are set by ``data``.
+            step's increment (1 but for ``GeneralizedAlpha``); ``data`` sets those that move.
         updates: for each body, more fields to be updated at the end of a step, UFL over its points.
         data: called with the times at the beginning of a step and at which its equations hold, to
             set loads, and boundary values of U by the motion between these times.
@@ -294,6 +294,23 @@ class ImplicitMPM:
                     "%d points of an integral are neither bodies nor carried: they stay where they "
                     "are", integral.points.size_global,
                 )  # fmt: skip
+
+    @property
+    def method(self) -> str:
+        """Name of the time scheme, for checkpoints."""
+        return type(self.scheme).__name__
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """What the next step depends on, beside the points, for checkpoints."""
+        dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt}
+        return {**dt, **self.scheme.memory}
+
+    @memory.setter
+    def memory(self, values: Mapping[str, float]) -> None:
+        rest = dict(values)
+        self.scheme.dt.value, self.next_dt = rest.pop("dt"), rest.pop("next_dt")
+        self.scheme.memory = rest
 
     def _snapshot(self) -> Any:
         return [(points, points.snapshot(copy=False)) for points in self._updates]

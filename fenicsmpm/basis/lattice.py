@@ -24,6 +24,7 @@ class Lattice:
     """Numbers of the cells and nodes of a mesh along each direction.
 
     Attributes:
+        origin: ``(d,)`` lowest corner of the mesh, in m.
         spacing: ``(d,)`` size of the cells, in m.
         shape: ``(d,)`` number of cells of the whole mesh in each direction.
         lower: ``(n_cells, d)`` lower corners of the cells (owned and ghosts), in m.
@@ -48,7 +49,7 @@ class Lattice:
         if geometry.num_cells > 0:
             here = (self.lower.min(axis=0), corners.max(axis=(0, 1)), sizes[0])
         known = [ends for ends in comm.allgather(here) if ends is not None]
-        origin = np.min([lower for lower, _, _ in known], axis=0)
+        self.origin = origin = np.min([lower for lower, _, _ in known], axis=0)
         extent = np.max([upper for _, upper, _ in known], axis=0) - origin
         self.shape: _Indices = np.rint(extent / known[0][2]).astype(np.int64)
         self.spacing = extent / self.shape

@@ -19,7 +19,6 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 import fenicsmpm
-from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.io.atomic import replacing
 from fenicsmpm.io.fingerprint import layout, mesh_fingerprint
 from fenicsmpm.points import MaterialPoints
@@ -36,12 +35,21 @@ class CheckpointError(ValueError):
 
 
 class Simulation(Protocol):
-    """What is saved and restored of a simulation, such as ``ImplicitMPM``."""
+    """What is saved and restored of a simulation, ``ImplicitMPM`` or ``ExplicitMPM``.
+
+    Attributes:
+        time: [s].
+        number: of steps done.
+        method: name of the time integration.
+        memory: other numbers that the next step depends on.
+        bodies: material points.
+        carried: points that move with the grid.
+    """
 
     time: float
     number: int
-    next_dt: float
-    scheme: TimeScheme
+    method: str
+    memory: dict[str, float]
     bodies: list[MaterialPoints]
     carried: list[MaterialPoints]
 
@@ -139,8 +147,7 @@ def restore(path: str | Path, sim: Simulation) -> None:
         points.restore(arrays)
         points.next_id = next_id
     sim.time, sim.number = header["time"], header["number"]
-    sim.next_dt, sim.scheme.dt.value = header["next_dt"], header["dt"]
-    sim.scheme.memory = memory
+    sim.memory = memory
 
 
 # --- simulation -----------------------------------------------------------------------------------
@@ -163,11 +170,9 @@ def _header(sim: Simulation) -> dict[str, Any]:
         "ranks": mesh.comm.size,
         "mesh": mesh_fingerprint(mesh),
         "layout": layout(mesh),
-        "scheme": type(sim.scheme).__name__,
+        "scheme": sim.method,
         "time": float(sim.time),
         "number": int(sim.number),
-        "next_dt": float(sim.next_dt),
-        "dt": float(sim.scheme.dt.value),
     }
 
 
@@ -178,7 +183,7 @@ def _fields(points: MaterialPoints) -> Fields:
 def _gather(sim: Simulation) -> _State | None:
     """The state on rank 0, None on the others (collective)."""
     comm = _mesh(sim).comm
-    state = _State(_header(sim), dict(sim.scheme.memory), [])
+    state = _State(_header(sim), dict(sim.memory), [])
     for points in _point_sets(sim):
         counts = comm.gather(len(points))
         arrays = {}

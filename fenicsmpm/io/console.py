@@ -63,7 +63,9 @@ def progress(
 
 
 def watch(steps: Iterable[Any], until: float, label: str, show: bool = True) -> Iterator[Any]:
-    """Go through time steps behind a progress bar with time, Newton iterations and time left.
+    """Go through time steps behind a progress bar with time and time left.
+
+    Where steps have Newton iterations, they are shown, too.
 
     Args:
         steps: iterator of steps, such as ``sim.run(until)``.
@@ -77,9 +79,9 @@ def watch(steps: Iterable[Any], until: float, label: str, show: bool = True) -> 
     )
     with tqdm(desc=label, total=until, disable=not visible, leave=False, bar_format=layout) as bar:
         for step in steps:
-            bar.set_postfix_str(
-                f"step {step.number}, {step.newton.iterations} Newton iterations", refresh=False
-            )
+            newton = getattr(step, "newton", None)
+            iterations = f", {newton.iterations} Newton iterations" if newton else ""
+            bar.set_postfix_str(f"step {step.number}{iterations}", refresh=False)
             bar.update(step.time - bar.n)
             yield step
 
