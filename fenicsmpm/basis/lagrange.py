@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.basis.stencil import derivative_rows
+from fenicsmpm.basis.stencil import derivative_rows, round_off
 
 if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
@@ -53,6 +53,11 @@ class LagrangeStencil:
     def offsets(self) -> npt.NDArray[np.int64]:
         """``(n_cells + 1,)`` range of the points of each local cell within ``order``."""
         return self.points.cell_offsets
+
+    @property
+    def least(self) -> npt.NDArray[np.float64]:
+        """``(n_cells,)`` share of the largest function up to which others may be round-off."""
+        return round_off(self._geometry)
 
     @property
     def n_owned_groups(self) -> int:

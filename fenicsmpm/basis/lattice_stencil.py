@@ -16,7 +16,7 @@ import numpy.typing as npt
 from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
-from fenicsmpm.basis.stencil import derivative_rows
+from fenicsmpm.basis.stencil import derivative_rows, round_off
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.sorting import sort_by_cell
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
 
 KINDS = {"linear": LINEAR, "quadratic": QUADRATIC, "cubic": CUBIC, "gimp": GIMP}
-# Values below this are round-off: the function does not reach the point
-_ZERO = 1e-12
 # Points that a thread does with one piece of work memory
 _CHUNK = 1024
 
@@ -155,6 +153,11 @@ class LatticeStencil:
         """Number of groups; all of them can hold points."""
         return len(self._nodes)
 
+    @property
+    def least(self) -> npt.NDArray[np.float64]:
+        """``(n_groups,)`` share of the largest function up to which others may be round-off."""
+        return np.full(len(self._nodes), round_off(self._lattice.geometry).max(initial=0.0))
+
     def _refresh(self) -> None:
         if self._version == self.points.version:
             return
@@ -251,7 +254,7 @@ class LatticeStencil:
         ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))
         corners = (steps[:, None, :] + ends) @ self._width ** np.arange(self._dim)[::-1]
         seen = np.zeros((len(self._nodes), len(steps)), dtype=np.bool_)
-        _mark_cells(values, self._offsets, corners, seen)
+        _mark_cells(values, self._offsets, corners, self.least, seen)
         group, step = np.nonzero(seen)
         return np.unique(self._lattice.cells(self._first[group] + steps[step]))
 
@@ -326,7 +329,7 @@ def _tabulate(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _mark_cells(values, offsets, corners, seen):  # type: ignore[no-untyped-def]
+def _mark_cells(values, offsets, corners, least, seen):  # type: ignore[no-untyped-def]
     """Mark cells ``seen (n_groups, n_cells)`` all of whose corners are seen by a point."""
     for g in range(len(offsets) - 1):
         for k in range(offsets[g], offsets[g + 1]):
@@ -334,5 +337,5 @@ def _mark_cells(values, offsets, corners, seen):  # type: ignore[no-untyped-def]
                 if not seen[g, c]:
                     all_seen = True
                     for corner in corners[c]:
-                        all_seen = all_seen and abs(values[k, corner]) > _ZERO
+                        all_seen = all_seen and abs(values[k, corner]) > least[g]
                     seen[g, c] = all_seen

@@ -8,10 +8,13 @@ have one row a point **in group order**; ``order`` leads back to the storage ord
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from fenicsmpm.points.geometry import CellGeometry
 
 
 class PointStencil(Protocol):
@@ -40,6 +43,10 @@ class PointStencil(Protocol):
     def n_functions(self, element: Any) -> int:
         """Number of functions of a scalar element that a group sees."""
 
+    @property
+    def least(self) -> npt.NDArray[np.float64]:
+        """``(n_groups,)`` share of the largest function up to which others may be round-off."""
+
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
         """``(n_groups, n)`` local blocks of a function space seen by each group.
 
@@ -64,6 +71,14 @@ class PointStencil(Protocol):
             ``(n_points, n_rows, n_nodes)``; rows are the value, then d gradients in 1/m, then
             d*d second derivatives in 1/m^2 (row-major).
         """
+
+
+def round_off(geometry: CellGeometry) -> npt.NDArray[np.float64]:
+    """``(n_cells,)`` what grid functions that are zero may be at points in each cell.
+
+    Their slopes on the reference cell are less than 10.
+    """
+    return 10 * geometry.tolerance
 
 
 def derivative_rows(derivatives: int, dim: int) -> int:

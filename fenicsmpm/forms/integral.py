@@ -122,9 +122,10 @@ class PointIntegral:
         if id(source) not in self._active:
             table = self.sites.table(source)
             dofs = self.dofs(source, space)
+            least = self.stencil.least[self.groups]
             seen = np.zeros((len(self.groups), dofs.shape[1]), dtype=np.bool_)
             slots = (table.basis, table.column, table.length, table.start)
-            loops.mark_seen(self.sites.offsets, self.sites.rows, *slots, seen)
+            loops.mark_seen(self.sites.offsets, self.sites.rows, *slots, least, seen)
             if self.kernel is None:  # a form that is zero is to show as zero
                 seen[:] = True
             self._active[id(source)] = np.unique(dofs[self.groups][seen])

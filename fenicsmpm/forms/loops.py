@@ -141,15 +141,18 @@ def contract_matrix(
 
 
 @numba.njit(cache=True)
-def mark_seen(offsets, rows, basis, column, length, start, seen):
-    """Mark local dofs ``seen (n_groups, n_local)`` whose functions are not zero at all points."""
+def mark_seen(offsets, rows, basis, column, length, start, least, seen):
+    """Mark local dofs ``seen (n_groups, n_local)`` whose functions are not zero at all points.
+
+    They are zero where they are smaller than ``least (n_groups,)`` of the largest one.
+    """
     for i in range(len(offsets) - 1):
         for k in range(offsets[i], offsets[i + 1]):
             for s in range(len(column)):
                 row = basis[rows[k], column[s] : column[s] + length[s]]
                 largest = np.max(np.abs(row))
                 for a in range(length[s]):
-                    if abs(row[a]) > 1e-12 * largest:
+                    if abs(row[a]) > least[i] * largest:
                         seen[i, start[s] + a] = True
 
 

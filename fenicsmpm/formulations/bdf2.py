@@ -46,11 +46,11 @@ class BDF2(TimeScheme):
         return (self._new * new - self._old * old) / self.dt
 
     def begin(self) -> None:
-        """Adapt the factors to the lengths of this step and the one before."""
-        if self._previous_dt is not None:
-            ratio = float(self.dt.value) / self._previous_dt
-            self._new.value = (1 + 2 * ratio) / (1 + ratio)
-            self._old.value = ratio**2 / (1 + ratio)
+        """Adapt the factors to the lengths of this step and the one before, if there was one."""
+        dt = float(self.dt.value)
+        ratio = 0.0 if self._previous_dt is None else dt / self._previous_dt
+        self._new.value = (1 + 2 * ratio) / (1 + ratio)
+        self._old.value = ratio**2 / (1 + ratio)
 
     def end(self) -> None:
         """Remember the length of the step that was done."""

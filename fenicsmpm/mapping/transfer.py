@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +20,8 @@ def p2g(
     points: MaterialPoints,
     values: npt.NDArray[np.float64],
     space: fem.FunctionSpace,
-    least: float = 0.0,
+    *,
+    rounded: bool = False,
 ) -> la.Vector:
     """Sum point values to the grid, ``sum_p N_I(x_p) values_p``.
 
@@ -27,7 +29,7 @@ def p2g(
         points: the point set.
         values: ``(n_points,)`` or ``(n_points, size)`` in storage order, such as the weights.
         space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are taken.
-        least: what functions that are smaller than this in absolute value are taken for.
+        rounded: take functions that may be zero but for round-off for its largest size.
 
     Returns:
         Vector with ``size`` numbers a node, summed over all ranks, ghosts up to date (collective).
@@ -39,6 +41,7 @@ def p2g(
     table = stencil.table(_scalar_element(space), 0)
     rows = values.reshape(len(points), size)[stencil.order]
     nodes = result.array.reshape(-1, size)
+    least = stencil.least if rounded else np.zeros(len(stencil.least))
     _scatter(rows, table[:, 0, :], stencil.offsets, stencil.dofs(space), least, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
@@ -70,10 +73,10 @@ def project(
     for key, space in spaces.items():
         fields = {name: f for name, f in functions.items() if id(f.function_space) == key}
         slopes = {name: gradients[name] for name in fields if name in gradients}
-        # A node that points see by round-off only has a mass of any sign. With this share instead
-        # it gets a mean of what is near.
+        # A node that points see by round-off only has a mass of any sign. With a positive
+        # share instead it gets a mean of what is near.
         sums = sum(
-            p2g(points, _columns(points, fields, slopes, mass), space, least=1e-12).array
+            p2g(points, _columns(points, fields, slopes, mass), space, rounded=True).array
             for points in point_sets
         )
         dim, size = space.mesh.geometry.dim, space.dofmap.index_map_bs
@@ -96,7 +99,7 @@ def _columns(
     """``(n_points, size)``: mass, then m f less m G x of each field, then m G_k of those with G."""
     n, dim = points.x.shape
     values: dict[str, npt.NDArray[np.float64]] = {
-        name: points[name].reshape(n, -1) for name in names
+        name: points[name].reshape(n, math.prod(points[name].shape[1:])) for name in names
     }
     steep = []
     for name, slope in slopes.items():
@@ -118,6 +121,6 @@ def _scatter(values, table, offsets, dofs, least, result):  # type: ignore[no-un
     for group in range(len(offsets) - 1):
         for k in range(offsets[group], offsets[group + 1]):
             for a in range(dofs.shape[1]):
-                share = table[k, a] if abs(table[k, a]) >= least else least
+                share = table[k, a] if abs(table[k, a]) >= least[group] else least[group]
                 for c in range(values.shape[1]):
                     result[dofs[group, a], c] += values[k, c] * share

@@ -13,6 +13,9 @@ from dolfinx.mesh import CellType, Mesh
 
 from fenicsmpm import _compat
 
+# Points outside a cell by less than this part of its size are in it.
+_TOLERANCE = 1e-12
+
 # Dimension and number of vertices of the cells that are supported.
 _CELLS = {
     CellType.triangle: (basix.CellType.triangle, 2, 3),
@@ -152,6 +155,16 @@ class CellGeometry:
         if self.is_simplex:
             return self.centre_inverse[cells]
         return np.asarray(np.linalg.inv(self.jacobian(cells, xi)), dtype=np.float64)
+
+    @cached_property
+    def tolerance(self) -> npt.NDArray[np.float64]:
+        """What reference coordinates in each cell may be off by, shape (cells,).
+
+        Coordinates carry round-off relative to their own size, not to that of the cell.
+        """
+        size = np.abs(self.corners).max(axis=(1, 2))
+        scale = np.abs(self.centre_inverse).sum(axis=2).max(axis=1) * size
+        return np.asarray(_TOLERANCE + 16 * np.finfo(float).eps * scale)
 
     def determinant(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]

@@ -24,8 +24,6 @@ from fenicsmpm.points.bins import Bins, lattice_bins, make_bins
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.pullback import reference_point
 
-# Points outside a cell by less than this part of its size are in it.
-_TOLERANCE = 1e-12
 # A walk of more cells costs more than the bins.
 _MAX_STEPS = 20
 
@@ -61,9 +59,7 @@ class Locator:
         flat = np.flatnonzero(np.linalg.det(self.geometry.centre_jacobian) == 0.0)
         raise_together(mesh.comm, _flat_cells(flat, corners) if len(flat) else None)
         inverse = self.geometry.centre_inverse
-        # Coordinates carry round-off relative to their own size, not to that of the cell.
-        scale = np.abs(inverse).sum(axis=2).max(axis=1) * np.abs(corners).max(axis=(1, 2))
-        tolerance = _TOLERANCE + 16 * np.finfo(float).eps * scale
+        tolerance = self.geometry.tolerance
         lower, upper = corners.min(axis=1), corners.max(axis=1)
         margin = 4 * (tolerance * (upper - lower).max(axis=1))[:, None]
         lower, upper = lower - margin, upper + margin
