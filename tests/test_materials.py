@@ -422,6 +422,49 @@ def test_wave_speed_of_the_strip_footing():
     assert np.isclose(law.wave_speed_modulus, lame + 2 * law.mu, rtol=1e-14)
 
 
+# --- energies in UFL ---
+
+
+def neo_hookean_energy(F, mu, kappa):
+    J = ufl.det(F)
+    return mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3) + kappa / 2 * (J - 1) ** 2
+
+
+@pytest.mark.parametrize("strain", STRAINS)
+def test_law_from_an_energy(strain):
+    """Of the same law as the compiled one; parameters can be others without compilation."""
+    F = deformations(strain)
+    for E in (1000.0, 70.0):
+        mu, kappa = E / (2 * (1 + NU)), E / (3 * (1 - 2 * NU))
+        law = materials.from_energy(neo_hookean_energy, (mu, kappa))
+        exact = NeoHookean(E, NU).pointwise()
+        assert np.isclose(law.wave_speed_modulus, exact.wave_speed_modulus, rtol=1e-7)
+        sigma, expected = materials.stress(law, F), materials.stress(exact, F)
+        assert np.abs(sigma - expected).max() < 1e-12 * np.abs(expected).max() + 1e-14 * E
+        psi, expected = materials.energy(law, F), materials.energy(exact, F)
+        assert np.abs(psi - expected).max() < 1e-12 * np.abs(expected).max() + 1e-14 * E
+
+
+def test_energies_share_the_compiled_loop():
+    a = materials.from_energy(neo_hookean_energy, (MU, KAPPA))
+    b = materials.from_energy(lambda F: 3 * (ufl.tr(F) - 3) ** 2)
+    assert a.update is b.update
+    F = deformations(0.1)
+    # P = 6 (tr F - 3) I
+    P = 6 * (np.trace(F, axis1=1, axis2=2) - 3)[:, None, None] * np.eye(3)
+    assert np.isclose(b.wave_speed_modulus, 6.0, rtol=1e-7)
+    assert relative(materials.stress(b, F), P @ F.mT / np.linalg.det(F)[:, None, None]) < 1e-12
+    assert np.isnan(materials.stress(b, -F)).all()
+    assert "EnergyLaw(parameters=[], wave_speed_modulus=6" in repr(b)
+
+
+def test_wrong_energies():
+    with pytest.raises(ValueError, match=r"must be scalar: its shape is \(3, 3\)"):
+        materials.from_energy(lambda F: F)
+    with pytest.raises(ValueError, match="must be positive and finite: wave_speed_modulus = -"):
+        materials.from_energy(lambda F: -ufl.inner(F - ufl.Identity(3), F - ufl.Identity(3)))
+
+
 # --- one's own law ---------------------------------------------------------------------------
 
 
