@@ -259,6 +259,23 @@ def test_softening_against_the_closed_solution():
     assert np.isclose(law.state_field(state, "eps_p")[0], eps_p[-1], rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", PLASTIC)
+def test_work_is_energy_and_dissipation(name):
+    """Along a path that loads and unloads; at least of first order in the step."""
+    law = LAWS[name]()
+    errors = []
+    for n in (800, 1600):
+        t = np.linspace(0, 1, n + 1)
+        F = simple_shear(np.sin(4 * t))
+        F[:, 1, 1] += 0.1 * t
+        sigma, state = history(law, F)
+        P = np.linalg.det(F)[:, None, None] * sigma @ np.linalg.inv(F).mT
+        work = np.sum((P[1:] + P[:-1]) / 2 * np.diff(F, axis=0))
+        stored = materials.energy(law, F[-1:], state)[0]
+        errors.append(abs((stored + law.state_field(state, "dissipation")[0]) / work - 1))
+    assert errors[0] < 0.002 and errors[1] < 0.6 * errors[0]
+
+
 def test_dissipation_of_softening_converges():
     """To the area under the yield stress, which is all dissipated."""
     law = VonMises(E, NU, 20.0, sigma_r=5.0, eta=3.0)
