@@ -320,6 +320,17 @@ def test_yield_condition_and_plastic_volume(name, strain):
     assert np.all(eps_p > 0)
 
 
+def test_small_increments_at_yield():
+    """A million of them would be a simulation; the yield condition holds after each."""
+    law = LAWS["softening"]()
+    state = law.initial_state(1)
+    for e in 0.1 + 1e-9 * np.arange(1000):
+        F = np.diag([math.exp(-e), math.exp(e), 1])[None]
+        sigma = materials.stress(law, F, state=state)
+        strength = 5.0 + 15.0 * math.exp(-3.0 * law.state_field(state, "eps_p")[0])
+        assert np.isclose(mises(law, F, sigma)[0], strength, rtol=1e-12)
+
+
 def test_plastic_flow_keeps_volume():
     """After a moderate step to round-off."""
     law = VonMises(E, NU, 1.0)
