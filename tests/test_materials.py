@@ -259,6 +259,23 @@ def test_softening_against_the_closed_solution():
     assert np.isclose(law.state_field(state, "eps_p")[0], eps_p[-1], rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", PLASTIC)
+def test_work_is_energy_and_dissipation(name):
+    """Along a path that loads and unloads; at least of first order in the step."""
+    law = LAWS[name]()
+    errors = []
+    for n in (800, 1600):
+        t = np.linspace(0, 1, n + 1)
+        F = simple_shear(np.sin(4 * t))
+        F[:, 1, 1] += 0.1 * t
+        sigma, state = history(law, F)
+        P = np.linalg.det(F)[:, None, None] * sigma @ np.linalg.inv(F).mT
+        work = np.sum((P[1:] + P[:-1]) / 2 * np.diff(F, axis=0))
+        stored = materials.energy(law, F[-1:], state)[0]
+        errors.append(abs((stored + law.state_field(state, "dissipation")[0]) / work - 1))
+    assert errors[0] < 0.002 and errors[1] < 0.6 * errors[0]
+
+
 def test_dissipation_of_softening_converges():
     """To the area under the yield stress, which is all dissipated."""
     law = VonMises(E, NU, 20.0, sigma_r=5.0, eta=3.0)
@@ -301,6 +318,17 @@ def test_yield_condition_and_plastic_volume(name, strain):
         assert relative(materials.stress(law, F, state=again), sigma) < 1e-11
         assert np.allclose(again, state, rtol=1e-10, atol=1e-13)
     assert np.all(eps_p > 0)
+
+
+def test_small_increments_at_yield():
+    """A million of them would be a simulation; the yield condition holds after each."""
+    law = LAWS["softening"]()
+    state = law.initial_state(1)
+    for e in 0.1 + 1e-9 * np.arange(1000):
+        F = np.diag([math.exp(-e), math.exp(e), 1])[None]
+        sigma = materials.stress(law, F, state=state)
+        strength = 5.0 + 15.0 * math.exp(-3.0 * law.state_field(state, "eps_p")[0])
+        assert np.isclose(mises(law, F, sigma)[0], strength, rtol=1e-12)
 
 
 def test_plastic_flow_keeps_volume():
@@ -420,6 +448,49 @@ def test_wave_speed_of_the_strip_footing():
     law = Hencky(E, NU)
     lame = E * NU / ((1 + NU) * (1 - 2 * NU))
     assert np.isclose(law.wave_speed_modulus, lame + 2 * law.mu, rtol=1e-14)
+
+
+# --- energies in UFL ---
+
+
+def neo_hookean_energy(F, mu, kappa):
+    J = ufl.det(F)
+    return mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3) + kappa / 2 * (J - 1) ** 2
+
+
+@pytest.mark.parametrize("strain", STRAINS)
+def test_law_from_an_energy(strain):
+    """Of the same law as the compiled one; parameters can be others without compilation."""
+    F = deformations(strain)
+    for E in (1000.0, 70.0):
+        mu, kappa = E / (2 * (1 + NU)), E / (3 * (1 - 2 * NU))
+        law = materials.from_energy(neo_hookean_energy, (mu, kappa))
+        exact = NeoHookean(E, NU).pointwise()
+        assert np.isclose(law.wave_speed_modulus, exact.wave_speed_modulus, rtol=1e-7)
+        sigma, expected = materials.stress(law, F), materials.stress(exact, F)
+        assert np.abs(sigma - expected).max() < 1e-12 * np.abs(expected).max() + 1e-14 * E
+        psi, expected = materials.energy(law, F), materials.energy(exact, F)
+        assert np.abs(psi - expected).max() < 1e-12 * np.abs(expected).max() + 1e-14 * E
+
+
+def test_energies_share_the_compiled_loop():
+    a = materials.from_energy(neo_hookean_energy, (MU, KAPPA))
+    b = materials.from_energy(lambda F: 3 * (ufl.tr(F) - 3) ** 2)
+    assert a.update is b.update
+    F = deformations(0.1)
+    # P = 6 (tr F - 3) I
+    P = 6 * (np.trace(F, axis1=1, axis2=2) - 3)[:, None, None] * np.eye(3)
+    assert np.isclose(b.wave_speed_modulus, 6.0, rtol=1e-7)
+    assert relative(materials.stress(b, F), P @ F.mT / np.linalg.det(F)[:, None, None]) < 1e-12
+    assert np.isnan(materials.stress(b, -F)).all()
+    assert "EnergyLaw(parameters=[], wave_speed_modulus=6" in repr(b)
+
+
+def test_wrong_energies():
+    with pytest.raises(ValueError, match=r"must be scalar: its shape is \(3, 3\)"):
+        materials.from_energy(lambda F: F)
+    with pytest.raises(ValueError, match="must be positive and finite: wave_speed_modulus = -"):
+        materials.from_energy(lambda F: -ufl.inner(F - ufl.Identity(3), F - ufl.Identity(3)))
 
 
 # --- one's own law ---------------------------------------------------------------------------

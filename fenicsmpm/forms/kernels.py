@@ -11,8 +11,10 @@ from typing import Any
 
 import numba
 import numpy as np
+import ufl
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from fenicsmpm import _compat
@@ -79,29 +81,75 @@ def compile_pointwise(
     """
     if lowered.form is None:
         return None
-    options = {"cffi_extra_compile_args": COMPILE_ARGS, "timeout": 600} | jit_options
-    compiled, module = _compat.compile_form(comm, lowered.form, options)
     shape = tuple(max(len(s.used), 1) for s in reversed(lowered.arguments))
+    return compile_kernel(comm, lowered.form, shape, jit_options)
+
+
+def compile_kernel(
+    comm: Any, form: ufl.Form, shape: tuple[int, ...], jit_options: dict[str, Any]
+) -> Kernel:
+    """Compile a form with one quadrature point, as ``compile_pointwise`` does.
+
+    Args:
+        comm: MPI communicator (collective).
+        form: UFL form.
+        shape: of its element tensor.
+        jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
+    """
+    options = {"cffi_extra_compile_args": COMPILE_ARGS, "timeout": 600} | jit_options
+    compiled, module = _compat.compile_form(comm, form, options)
     return Kernel(_compat.kernel_address(compiled, module), shape, module)
+
+
+def _build_call(builder, address, tensor, coefficients, inputs, coordinates):  # type: ignore[no-untyped-def]
+    """Call of a kernel at an address; the others are pointers.
+
+    The seventh pointer exists from FFCx 0.10 on; in the C calling conventions an argument more than
+    the callee takes is ignored.
+    """
+    pointer = ir.IntType(8).as_pointer()
+    function = builder.inttoptr(address, ir.FunctionType(ir.VoidType(), [pointer] * 7).as_pointer())
+    null = ir.Constant(pointer, None)
+    arguments = [builder.bitcast(p, pointer) for p in (tensor, coefficients, inputs, coordinates)]
+    builder.call(function, [*arguments, null, null, null])
 
 
 @intrinsic
 def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignore[no-untyped-def]
     """Call a kernel by its address; all four arguments are addresses (int64).
 
-    One compiled loop serves all forms that way. The seventh pointer exists from FFCx 0.10 on;
-    in the C calling conventions an argument more than the callee takes is ignored.
+    One compiled loop serves all forms that way.
     """
     signature = types.void(types.int64, types.int64, types.int64, types.int64)
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         pointer = ir.IntType(8).as_pointer()
-        function_type = ir.FunctionType(ir.VoidType(), [pointer] * 7)
-        function = builder.inttoptr(args[0], function_type.as_pointer())
         tensor, inputs, coordinates = (builder.inttoptr(a, pointer) for a in args[1:])
         null = ir.Constant(pointer, None)
-        builder.call(function, [tensor, null, inputs, coordinates, null, null, null])
+        _build_call(builder, args[0], tensor, null, inputs, coordinates)
         return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def kernel_of_nine(typingctx, address, values, inputs, coordinates):  # type: ignore[no-untyped-def]
+    """A kernel's at most nine results for nine coefficients, both as tuples of 9.
+
+    They are on the stack: no array is needed. Inputs and coordinates are addresses (int64).
+    """
+    nine = types.UniTuple(types.float64, 9)
+    signature = nine(types.int64, nine, types.int64, types.int64)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        pointer = ir.IntType(8).as_pointer()
+        array = context.get_value_type(nine)
+        coefficients, tensor = (cgutils.alloca_once(builder, array) for _ in range(2))
+        builder.store(args[1], coefficients)
+        builder.store(ir.Constant(array, None), tensor)  # kernels add to their output
+        inputs, coordinates = (builder.inttoptr(a, pointer) for a in args[2:])
+        _build_call(builder, args[0], tensor, coefficients, inputs, coordinates)
+        return builder.load(tensor)
 
     return signature, codegen
 

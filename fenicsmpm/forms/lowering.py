@@ -52,8 +52,8 @@ from fenicsmpm.points.point_field import PointField
 
 # The pointwise form lives on an interval that is only an excuse to compile it: with coordinates
 # 0 and 1 its Jacobian is one.
-_INTERVAL = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
-_ONE_POINT = {
+INTERVAL = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
+ONE_POINT = {
     "quadrature_rule": "custom",
     "quadrature_points": ((0.5,),),
     "quadrature_weights": (1.0,),
@@ -292,7 +292,7 @@ class _Lowering:
         if isinstance(item, ufl.Argument):
             placeholder: Any = _slot_argument(size, item.number())
         else:
-            placeholder = ufl.Constant(_INTERVAL, shape=(size,))
+            placeholder = ufl.Constant(INTERVAL, shape=(size,))
         self.sources[item] = Source(item, placeholder, layout, size)
         return self.sources[item]
 
@@ -325,7 +325,7 @@ class _Lowering:
             vector = _slot_argument(len(source.used), number)
             replacement[source.placeholder] = (vector, _positions(source.used, 0))
         n_inputs = sum(len(s.used) for s in inputs)
-        vector = ufl.Constant(_INTERVAL, shape=(max(n_inputs, 1),))
+        vector = ufl.Constant(INTERVAL, shape=(max(n_inputs, 1),))
         offset = 0
         for source in inputs:
             replacement[source.placeholder] = (vector, _positions(source.used, offset))
@@ -342,7 +342,7 @@ class _Lowering:
                 memo[node] = node._ufl_expr_reconstruct_(*[memo[o] for o in node.ufl_operands])
         if isinstance(memo[expression], Zero):
             return PointwiseForm(None, arguments, inputs, 0)
-        measure = ufl.Measure("dx", domain=_INTERVAL, metadata=_ONE_POINT)
+        measure = ufl.Measure("dx", domain=INTERVAL, metadata=ONE_POINT)
         leaves = {
             node: _degree_of_slot(by_placeholder[node.ufl_operands[0]], node)
             for node in nodes
@@ -376,7 +376,7 @@ def _positions(used: npt.NDArray[np.int64], offset: int) -> dict[int, int]:
 
 def _slot_argument(size: int, number: int) -> ufl.Argument:
     element = basix.ufl.element("DG", "interval", 0, shape=(max(size, 1),))
-    return ufl.Argument(ufl.FunctionSpace(_INTERVAL, element), number)
+    return ufl.Argument(ufl.FunctionSpace(INTERVAL, element), number)
 
 
 def _as_tensor(components: npt.NDArray[np.object_]) -> Any:

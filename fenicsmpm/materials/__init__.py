@@ -3,6 +3,7 @@
 
 from fenicsmpm.materials.evaluate import energy, stress, tangent
 from fenicsmpm.materials.fluid import NewtonianFluid
+from fenicsmpm.materials.from_energy import from_energy
 from fenicsmpm.materials.hencky import Hencky
 from fenicsmpm.materials.hyperelastic import VOLUMETRIC_LAWS, NeoHookean
 from fenicsmpm.materials.law import Law, compiled
@@ -17,6 +18,7 @@ __all__ = [
     "VonMises",
     "compiled",
     "energy",
+    "from_energy",
     "stress",
     "tangent",
 ]

@@ -66,14 +66,16 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
     """
     mu = parameters[0]
     d = 0.0
-    if not q > yield_stress(eps_p, parameters)[0]:
+    value, slope = yield_stress(eps_p, parameters)
+    excess = q - value
+    if excess <= 0:
         return d
     for _ in range(30):
-        value, slope = yield_stress(eps_p + d, parameters)
-        step = (q - 3 * mu * d - value) / (3 * mu + slope)
-        d += step
-        if not abs(step) > 1e-15 * d:
+        if not abs(excess) > 1e-15 * q:  # ends for NaN too
             break
+        d += excess / (3 * mu + slope)
+        value, slope = yield_stress(eps_p + d, parameters)
+        excess = q - 3 * mu * d - value
     return d
 
 
