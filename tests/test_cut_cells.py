@@ -2,6 +2,7 @@
 """Remedies for cells that the body fills in part: corrected weights, tied nodes."""
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -290,6 +291,36 @@ def test_free_fall_with_tied_nodes_and_corrected_weights(stabilization):
         np.broadcast_to(g * time**2 / 2, start.shape), abs=1e-8
     )
     assert np.array_equal(by_id(body, "mass"), mass)
+
+
+@pytest.mark.mpi
+def test_reduced_matrix_is_made_once_and_nothing_is_left_behind(capfd):
+    """PETSc keeps dropped objects of several ranks until a collective call collects them."""
+    domain, body, above = block(n=4)
+    V = fem.functionspace(domain, ("Lagrange", 1))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    form = forms.form((u * v + 0.1 * ufl.inner(ufl.grad(u), ufl.grad(v))) * body.dx)
+    A = forms.petsc.assemble_matrix(form)
+    b, y, expected = (forms.petsc.create_vector(forms.form(v * body.dx)) for _ in range(3))
+    bc = fem.dirichletbc(0.0, fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0)), V)
+    cells = ActiveCells(body, above)
+    tying, other = Tying(V, body, cells), Tying(V, body, cells)
+    for _ in range(2):
+        tying.update([bc], forms.inactive_dofs(form))
+        first = tying.reduce(A, b)
+        A.scale(2.0)
+        again = tying.reduce(A, b)
+        assert again is first
+        other.update([bc], forms.inactive_dofs(form))
+        b.setRandom()
+        again.mult(b, y)
+        other.reduce(A, b.copy(expected)).mult(b, expected)
+        assert y.array_r == pytest.approx(expected.array_r, abs=1e-14)
+        assert np.all(again.getDiagonal(expected).array_r > 0)
+    PETSc.garbage_view(domain.comm)
+    lines = [line for line in capfd.readouterr().out.splitlines() if "entries" in line]
+    assert all(line.endswith("Total entries: 0") for line in lines)
+    assert COMM.size == 1 or COMM.allreduce(len(lines)) == COMM.size
 
 
 @pytest.mark.mpi

@@ -75,6 +75,10 @@ class Tying:
                 error = ValueError(f"tying is for linear functions, not for {space.ufl_element()}")
         raise_together(space.mesh.comm, error)
         self._cell_dofs = self._node_dofs[nodes]
+        # PETSc objects of several ranks live until they are destroyed by hand
+        self._real_rows, self._tied, self._work = (self._vector() for _ in range(3))
+        self._reduced: PETSc.Mat | None = None
+        self.matrix = PETSc.Mat()
         self.update()
 
     def update(self, bcs: Sequence[fem.DirichletBC] = (), inactive: npt.ArrayLike = ()) -> None:
@@ -92,49 +96,55 @@ class Tying:
         fixed = np.unique(np.concatenate([np.empty(0, np.int32), *map(_compat.bc_dofs, bcs)]))
         self._fixed = self._global[fixed[fixed < owned]].astype(PETSc.IntType)
         dofs, columns, weights = self._extrapolation(fixed)
+        # a tied row also has its diagonal, zero, so that the reduced matrix has room for a one
         entries = np.ones(owned, dtype=PETSc.IntType)
-        entries[dofs] = weights.shape[1]
+        entries[dofs] += weights.shape[1]
         indptr = np.concatenate([[0], np.cumsum(entries)]).astype(PETSc.IntType)
         indices = np.repeat(self._global[:owned], entries).astype(PETSc.IntType)
         values = np.ones(len(indices))
         where = indptr[dofs][:, None] + np.arange(weights.shape[1])
         indices[where], values[where] = columns, weights
-        tied = np.zeros(owned)
-        tied[dofs] = 1.0
-        self.matrix = self._create((indptr, indices, values))
-        self._real_rows = self.matrix.createVecLeft()
+        values[indptr[dofs + 1] - 1] = 0.0
+        self.matrix.destroy()
+        self.matrix.createAIJ(
+            (self._sizes, self._sizes), comm=self.space.mesh.comm, csr=(indptr, indices, values)
+        )
+        self.matrix.assemble()
+        if self._reduced is not None:
+            self._reduced.destroy()
+            self._reduced = None
         self._real_rows.array_w[:] = 1.0
         self._real_rows.array_w[np.intersect1d(dofs, np.asarray(inactive, dtype=np.int32))] = 0.0
-        diagonal = np.arange(owned + 1, dtype=PETSc.IntType)
-        self._tied = self._create((diagonal, self._global[:owned].astype(PETSc.IntType), tied))
+        self._tied.array_w[:] = 0.0
+        self._tied.array_w[dofs] = 1.0
 
     def extend(self, x: PETSc.Vec) -> None:
         """Overwrite the tied entries of a vector by extrapolation, x = T x (collective)."""
-        result = x.duplicate()
-        self.matrix.mult(x, result)
-        x.array_w[:] = result.array_r
+        self.matrix.mult(x, self._work)
+        x.array_w[:] = self._work.array_r
 
     def restrict(self, b: PETSc.Vec) -> None:
         """Move the tied entries of a residual to the filled cells, b = T^T b (collective)."""
-        result = b.duplicate()
-        self.matrix.multTranspose(b, result)
-        b.array_w[:] = result.array_r
+        self.matrix.multTranspose(b, self._work)
+        b.array_w[:] = self._work.array_r
 
     def reduce(self, A: PETSc.Mat, b: PETSc.Vec) -> PETSc.Mat:
         """Matrix T^T A T of the free unknowns; tied and constrained ones have the diagonal 1.
 
-        Collective.
+        The same object is overwritten until the next ``update``. Collective.
 
         Args:
-            A: matrix without Dirichlet conditions, whose inactive rows are set to zero.
+            A: matrix without Dirichlet conditions, whose inactive rows are set to zero; of the same
+                pattern until the next ``update``.
             b: restricted right-hand side with the wanted values at the entries constrained by the
                 conditions of the last ``update``; their contribution is subtracted elsewhere.
         """
         A.diagonalScale(self._real_rows)
-        reduced = A.PtAP(self.matrix)
-        reduced.axpy(1.0, self._tied, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        reduced.zeroRowsColumns(self._fixed, 1.0, b.copy(), b)
-        return reduced
+        self._reduced = A.PtAP(self.matrix, self._reduced)
+        self._reduced.setDiagonal(self._tied, PETSc.InsertMode.ADD)
+        self._work.array_w[:] = b.array_r
+        self._reduced.zeroRowsColumns(self._fixed, 1.0, self._work, b)
+        return self._reduced
 
     def _extrapolation(self, fixed: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Owned tied dofs ``(n,)``, global dofs ``(n, n_vertices)`` to take, and their weights."""
@@ -171,12 +181,8 @@ class Tying:
         order = np.argsort(key)
         return corners[order], dofs[order]
 
-    def _create(self, csr: tuple[npt.NDArray, ...]) -> PETSc.Mat:
-        matrix = PETSc.Mat().createAIJ(
-            (self._sizes, self._sizes), comm=self.space.mesh.comm, csr=csr
-        )
-        matrix.assemble()
-        return matrix
+    def _vector(self) -> PETSc.Vec:
+        return PETSc.Vec().createMPI(self._sizes, comm=self.space.mesh.comm)
 
 
 def _components(space: fem.FunctionSpace) -> list[npt.NDArray[np.int32]]:
