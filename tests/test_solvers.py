@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import forms, formulations, points
+from fenicsmpm.mapping import ActiveCells
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import (
     LinearSolver,
@@ -240,6 +241,41 @@ def test_driven_wall_without_material():
     NewtonSolver(R, u, [bc]).solve()
     assert u.x.array[dofs] == pytest.approx(2.0)
     assert np.sum(u.x.array != 0.0) == len(dofs)
+
+
+@pytest.mark.mpi
+def test_load_without_material():
+    """What carries no load has no tangent: no number of iterations would reduce its residual."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (3, 1)], [12, 4])
+    body = points.quadrature(domain, 2, inside=lambda x: x[:, 0] < 1)
+    W = formulations.mixed_space(domain)
+    U, V = fem.Function(W), ufl.TestFunction(W)
+    law = NeoHookean(E=1e3, nu=0.3)
+    V0, _ = W.sub(0).collapse()
+    dofs = fem.locate_dofs_geometrical((W.sub(0), V0), lambda x: np.isclose(x[0], 0))
+    bcs = [fem.dirichletbc(fem.Function(V0), dofs, W.sub(0))]
+    R = formulations.stabilized("asgs", U, V, body, law)
+
+    def load(x, size=1.0):
+        edge = points.on_curve(domain, (x, 0.4), (x, 0.5), spacing=0.1)
+        return formulations.dead_load(V, edge, (size, 0.0))
+
+    # one on the facet of the last cells with material is no problem, nor is one of round-off size
+    supported = R + load(1.0)
+    NewtonSolver(supported + load(2.6, size=1e-13), U, bcs).solve()
+    solution = U.x.array.copy()
+    message = r"load without material: \|R\| = .* most at \(2\.5, 0\.5\); give ActiveCells"
+    with pytest.raises(NewtonError, match=message) as caught:
+        NewtonSolver(supported + load(2.55), U, bcs).solve()
+    assert caught.value.reason == "load without material"
+    assert np.array_equal(U.x.array, solution)
+    # with a way to the body
+    edge = points.on_curve(domain, (1.3, 0.4), (1.3, 0.5), spacing=0.1)
+    R += formulations.dead_load(V, edge, (1.0, 0.0))
+    with pytest.raises(NewtonError, match="load without material"):
+        NewtonSolver(R, U, bcs).solve()
+    R += formulations.ghost_penalty(U, V, ActiveCells(body, loads=[edge]), law)
+    NewtonSolver(R, U, bcs).solve()
 
 
 def test_condition_on_another_space():

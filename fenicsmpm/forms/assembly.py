@@ -32,6 +32,9 @@ _positions = weakref.WeakKeyDictionary()
 _constant_parts: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
 _constant_parts = weakref.WeakKeyDictionary()
 _Indices = npt.NDArray[np.int32]
+# Owned rows of a matrix that its last assembly did not reach
+_unreached: weakref.WeakKeyDictionary[la.MatrixCSR, npt.NDArray[np.int64]]
+_unreached = weakref.WeakKeyDictionary()
 
 
 def _check(compiled: Form, rank: int) -> None:
@@ -200,7 +203,8 @@ def assemble_matrix(
     if _is_square(a):
         owned = A.index_map(0).size_local
         diagonal = _diagonal_positions(A)
-        A.data[diagonal[_inactive_marks(a, reached)[:owned]]] = 1.0
+        _unreached[A] = np.flatnonzero(_inactive_marks(a, reached)[:owned])
+        A.data[diagonal[_unreached[A]]] = 1.0
         A.data[diagonal[fixed[0][:owned] > 0]] = diag
     return A
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem, la
 
 from fenicsmpm import _compat
@@ -89,6 +90,17 @@ def assemble_matrix(
     A.setValuesCSR(indptr, _global_columns(work), work.data[: indptr[-1]])
     A.assemble()
     return A
+
+
+def unreached_rows(A: PETSc.Mat) -> npt.NDArray[np.int64]:
+    """Owned local rows that are of the identity because no integral reached them.
+
+    Constrained ones may be among them.
+
+    Args:
+        A: matrix of ``assemble_matrix``, of a form with equal spaces.
+    """
+    return assembly._unreached[A.getAttr(_WORK)]
 
 
 def apply_lifting(

@@ -31,7 +31,7 @@ class NewtonError(RuntimeError):
     """Newton's method failed; the unknown has its old values again.
 
     Attributes:
-        reason: "diverged", "not finite" or "linear solver".
+        reason: "diverged", "not finite", "linear solver" or "load without material".
         residuals: residual norms so far.
     """
 
@@ -204,6 +204,8 @@ class NewtonSolver:
                 with result.seconds("assembly"):
                     norm = self._lifted_norm()
                 reference = max(reference, norm)
+            if result.iterations == 0 and self.tying is None:
+                self._require_support(A, reference, result)
             try:
                 with result.seconds("linear solver"):
                     self.linear.solve(A, self._b, self._step)
@@ -218,6 +220,29 @@ class NewtonSolver:
             result.step_lengths.append(length)
             reduction = norm / previous if previous > 0.0 else 1.0
             logger.info("  %3d    %.6e    %.1e    %g", result.iterations, norm, reduction, length)
+
+    def _require_support(self, A: PETSc.Mat, norm: float, result: NewtonResult) -> None:
+        """No load where there is nothing to carry it, which no step would change (collective)."""
+        rows = forms.petsc.unreached_rows(A)
+        loads = np.zeros(len(self._b.array_r))
+        loads[rows] = self._b.array_r[rows]
+        for bc in self.bcs:
+            _compat.bc_set(bc, loads, np.zeros(len(loads)), 0.0)
+        comm = self.J.mesh.comm
+        size = math.sqrt(comm.allreduce(float(loads @ loads), MPI.SUM))
+        # less than that cannot be told from round-off, nor does it keep the method from its end
+        if size <= max(self.atol, max(self.rtol, 1e-8) * norm):
+            return
+        where = _dof_positions(self.U.function_space)[: len(loads)]
+        most = np.abs(loads).max(initial=0.0)
+        here = (float(most), where[np.abs(loads) == most][:1].ravel().tolist())
+        position = ", ".join(f"{x:.6g}" for x in max(comm.allgather(here))[1])
+        raise NewtonError(
+            "load without material",
+            f"|R| = {size:.3e} on nodes of cells without a body, most at ({position}); give "
+            "ActiveCells(body, loads=[..]) to the ghost penalty or use mapping.Tying",
+            result.residuals,
+        )
 
     def _advance(self, norm: float, result: NewtonResult) -> tuple[float, float]:
         """Take the Newton step, or as much of it as the line search allows."""
@@ -317,6 +342,18 @@ class NewtonSolver:
                 f"|R| = {norm} {when}; {where}. Try smaller load steps or line_search",
                 result.residuals,
             )
+
+
+def _dof_positions(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
+    """``(n_dofs, d)`` positions of the local degrees of freedom, unrolled (collective)."""
+    bs, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    if V.num_sub_spaces == 0 or bs > 1:
+        return np.repeat(V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim], bs, axis=0)
+    result = np.empty((index_map.size_local + index_map.num_ghosts, V.mesh.geometry.dim))
+    for i in range(V.num_sub_spaces):
+        space, dofs = V.sub(i).collapse()
+        result[dofs] = _dof_positions(space)
+    return result
 
 
 def _parts(V: fem.FunctionSpace) -> list[npt.NDArray[np.int64]]:
