@@ -46,23 +46,19 @@ def say(text: str = "") -> None:
         tqdm.write(text)
 
 
-def progress(
-    items: Iterable[Any], label: str, total: int | None = None, show: bool = True
-) -> Iterator[Any]:
+def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterator[Any]:
     """Go through items behind a progress bar, if there is a terminal that can show it.
 
     Args:
         items: what to go through.
         label: text before the bar.
         total: number of items, if they have no length.
-        show: False for no bar at all.
     """
-    visible = show and MPI.COMM_WORLD.rank == 0 and sys.stderr.isatty()
-    with tqdm(items, desc=label, total=total, disable=not visible, leave=False) as bar:
+    with tqdm(items, desc=label, total=total, disable=not _has_terminal(), leave=False) as bar:
         yield from bar
 
 
-def watch(steps: Iterable[Any], until: float, label: str, show: bool = True) -> Iterator[Any]:
+def watch(steps: Iterable[Any], until: float, label: str) -> Iterator[Any]:
     """Go through time steps behind a progress bar with time and time left.
 
     Where steps have Newton iterations, they are shown, too.
@@ -71,19 +67,22 @@ def watch(steps: Iterable[Any], until: float, label: str, show: bool = True) -> 
         steps: iterator of steps, such as ``sim.run(until)``.
         until: end [s].
         label: text before the bar.
-        show: False for no bar at all.
     """
-    visible = show and MPI.COMM_WORLD.rank == 0 and sys.stderr.isatty()
     layout = (
         "{desc}: {percentage:3.0f}% |{bar}| {n:.4g}/{total:.4g} s [{elapsed}<{remaining}{postfix}]"
     )
-    with tqdm(desc=label, total=until, disable=not visible, leave=False, bar_format=layout) as bar:
+    options = {"desc": label, "total": until, "bar_format": layout, "leave": False}
+    with tqdm(disable=not _has_terminal(), **options) as bar:
         for step in steps:
             newton = getattr(step, "newton", None)
             iterations = f", {newton.iterations} Newton iterations" if newton else ""
             bar.set_postfix_str(f"step {step.number}{iterations}", refresh=False)
             bar.update(step.time - bar.n)
             yield step
+
+
+def _has_terminal() -> bool:
+    return MPI.COMM_WORLD.rank == 0 and sys.stderr.isatty()
 
 
 class Table:

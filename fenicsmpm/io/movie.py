@@ -15,15 +15,13 @@ def animate(
     path: str | Path,
     frames: Sequence[str | Path],
     *,
-    seconds: float = 0.1,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> None:
-    """Put pictures together to an animation that runs for ever (collective, rank 0 works).
+    """Put pictures together to an animation, 10 a second, for ever (collective, rank 0 works).
 
     Args:
         path: file to write, ``.gif``.
         frames: pictures of the same size, in order.
-        seconds: for which each is shown.
         comm: communicator of the mesh.
 
     Raises:
@@ -33,13 +31,13 @@ def animate(
     error: Exception | None = None
     if comm.rank == 0:
         try:
-            _write(Path(path), frames, seconds)
+            _write(Path(path), frames)
         except (OSError, ValueError) as failure:
             error = failure
     raise_together(comm, error)
 
 
-def _write(path: Path, frames: Sequence[str | Path], seconds: float) -> None:
+def _write(path: Path, frames: Sequence[str | Path]) -> None:
     from PIL import Image
 
     if not frames or path.suffix != ".gif":
@@ -53,6 +51,6 @@ def _write(path: Path, frames: Sequence[str | Path], seconds: float) -> None:
         path,
         save_all=True,
         append_images=images[1:],
-        duration=round(1000 * seconds),
+        duration=100,  # ms a frame
         loop=0,
     )

@@ -74,8 +74,6 @@ class NewtonSolver:
             step is halved in any case.
         tying: takes nodes of little mass out of the system; residuals are then those of the rest.
         petsc_options: options of the linear solver, see ``LinearSolver``.
-        jit_options: see ``forms.form``.
-        form_compiler_options: see ``forms.form``.
 
     Attributes:
         R: compiled residual.
@@ -97,16 +95,10 @@ class NewtonSolver:
         line_search: bool = False,
         tying: Tying | None = None,
         petsc_options: dict[str, Any] | None = None,
-        jit_options: dict[str, Any] | None = None,
-        form_compiler_options: dict[str, Any] | None = None,
     ) -> None:
         """Compile the forms (collective)."""
-        options: dict[str, Any] = {
-            "jit_options": jit_options,
-            "form_compiler_options": form_compiler_options,
-        }
-        self.R = forms.form(R, **options)
-        self.J = forms.form(ufl.derivative(R, U) if J is None else J, **options)
+        self.R = forms.form(R)
+        self.J = forms.form(ufl.derivative(R, U) if J is None else J)
         self.U = U
         self.bcs = list(bcs)
         self.rtol, self.atol = rtol, atol
