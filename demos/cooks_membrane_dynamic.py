@@ -147,7 +147,7 @@ def run(case, until, output, movie=False):
                 draw(frames[-1], body, f"t = {step.time:.2f} s")
     except NewtonError as error:
         io.say(f"  it ends at t = {sim.time:.3f} s: {error}")
-    if movie:
+    if frames:
         io.animate(output / "cooks_membrane_dynamic.gif", frames, comm=body.mesh.comm)
     return sim, np.column_stack([times, tips])
 
@@ -261,7 +261,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description="Cook's membrane, dynamic and incompressible")
     default = Case()
     add = parser.add_argument
-    add("--stabilization", choices=formulations.STABILIZATIONS, default=default.stabilization)
+    add("--stabilization", choices=formulations.STABILIZATIONS, help="(default: asgs)")
     add("--size", type=float, help="edges of the background triangles in m (default: 0.2)")
     add("--points", type=int, help="material points a cell (default: 12)")
     add("--scheme", choices=SCHEMES, default=default.scheme, help="(default: %(default)s)")
@@ -279,17 +279,25 @@ def main(arguments=None):
     full = options.full or options.study is not None
     if options.points is not None and options.points < 1:
         parser.error(f"argument --points: at least 1 a cell is needed, not {options.points}")
-    until = options.until or (0.1 if options.short else 7.0 if full else 3.0)
-    h = options.size or (0.1 if full else 0.5 if options.short else 0.2)
-    per_cell = options.points or (33 if full else 12)
+    if options.study is not None:
+        for name in ("stabilization", "size", "points", "movie"):
+            if getattr(options, name):
+                parser.error(f"argument --study: has cases of its own, so leave out --{name}")
+    until, h, per_cell = options.until, options.size, options.points
+    if until is None:
+        until = 0.1 if options.short else 7.0 if full else 3.0
+    if h is None:
+        h = 0.1 if full else 0.5 if options.short else 0.2
+    if per_cell is None:
+        per_cell = 33 if full else 12
     if not (h > 0 and options.dt > 0 and until > 0 and options.ghost >= 0):
-        parser.error("size, dt, end and ghost penalty must be positive")
+        parser.error("--size, --dt and --until must be positive, --ghost not negative")
     if abs(round(1 / h) * h - 1) > 1e-9:
         parser.error(f"argument --size: must divide 1 m into equal parts, not {h}")
     io.show_log(logging.INFO if options.verbose else logging.WARNING)
     case = Case(
-        options.stabilization, h, per_cell, options.scheme, options.dt, options.ghost,
-        not options.uncorrected,
+        options.stabilization or default.stabilization, h, per_cell, options.scheme,
+        options.dt, options.ghost, not options.uncorrected,
     )  # fmt: skip
     if options.study is None:
         single(case, until, options.output, options.movie)

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import pyvista
 
+from fenicsmpm import ImplicitMPM
+from fenicsmpm.solvers import NewtonError
+
 DEMOS = Path(__file__).parent.parent / "demos"
 sys.path.insert(0, str(DEMOS))
 cooks_membrane = import_module("cooks_membrane")
@@ -132,12 +135,73 @@ def test_dynamic_cooks_membrane_as_a_program(tmp_path, capsys):
     assert pyvista.read(tmp_path / "points.vtp").field_data["scheme"][0] == "Bossak"
 
 
-@pytest.mark.parametrize("arguments", ["--size 0.3", "--dt 0", "--points 0", "--scheme Euler"])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "--size 0.3",
+        "--size 0",
+        "--until 0",
+        "--dt 0",
+        "--points 0",
+        "--scheme Euler",
+        "--study 6a --size 0.1",
+    ],
+)
 def test_wrong_options_of_the_dynamic_membrane(arguments, capsys):
     with pytest.raises(SystemExit) as stopped:
         cooks_membrane_dynamic.main(arguments.split())
     assert stopped.value.code == 2
     assert arguments.split()[0][2:] in capsys.readouterr().err
+
+
+def test_a_membrane_that_ends_before_its_first_frame(tmp_path, capsys, monkeypatch):
+    def fail(*arguments):
+        raise NewtonError("diverged", "as asked for", [])
+
+    monkeypatch.setattr(ImplicitMPM, "step", fail)
+    cooks_membrane_dynamic.main(["--short", "--movie", "--output", str(tmp_path)])
+    assert "it ends at t = 0.000 s" in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "points.vtp",
+        "pressure.png",
+        "tip.png",
+    ]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "--until 0",
+        "--dt 0",
+        "--size -1",
+        "--points 0",
+        "--short --size 0.5",
+        "--short --full 1",
+        "--full 1 --dt 0.002",
+        "--full --points 3",
+    ],
+)
+def test_wrong_options_of_the_columns(arguments, capsys):
+    pytest.importorskip("gmsh")
+    bending_beam = import_module("bending_beam")
+    with pytest.raises(SystemExit) as stopped:
+        bending_beam.main(arguments.split())
+    assert stopped.value.code == 2
+    assert arguments.split()[0] in capsys.readouterr().err
+
+
+def test_a_column_that_ends_before_its_first_frame(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("gmsh")
+    bending_beam = import_module("bending_beam")
+
+    def fail(*arguments):
+        raise NewtonError("diverged", "as asked for", [])
+
+    monkeypatch.setattr(ImplicitMPM, "step", fail)
+    bending_beam.main(["--short", "--movie", "--output", str(tmp_path)])
+    assert "nothing to compare" in capsys.readouterr().out
+    for name in ("bending_beam.png", "bending_beam_tip.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
