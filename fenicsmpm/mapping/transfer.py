@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -96,7 +97,7 @@ def _columns(
     """``(n_points, size)``: mass, then m f less m G x of each field, then m G_k of those with G."""
     n, dim = points.x.shape
     values: dict[str, npt.NDArray[np.float64]] = {
-        name: points[name].reshape(n, -1) for name in names
+        name: points[name].reshape(n, math.prod(points.field_shape(name))) for name in names
     }
     steep = []
     for name, slope in slopes.items():
