@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Splines and uGIMP in use: projections, active cells, dynamics, the choice and its errors."""
+"""Splines and uGIMP in use: projections, active cells, dynamics; the choice and its errors."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from lattices import COMM, EACH, EVERYWHERE, LOWER, SHAPE, UPPER, cloud, lattice
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, basis, forms, formulations, points
 from fenicsmpm.diagnostics import angular_momentum, momentum
-from fenicsmpm.mapping import ActiveCells, FilledFraction, p2g, project
+from fenicsmpm.mapping import ActiveCells, FilledFraction, Tying, p2g, project
 from fenicsmpm.materials import NeoHookean
 
 # --- mapping -------------------------------------------------------------------------------------
@@ -59,6 +59,28 @@ def test_active_cells_are_those_whose_nodes_are_all_seen(dim, name):
     fraction = FilledFraction(body)
     a = forms.form(fraction * fraction.vertex_dx)
     assert forms.assemble_scalar(a) == pytest.approx(1, rel=1e-13)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["quadratic", "cubic", "gimp"])
+def test_tied_nodes_follow_linear_fields(name):
+    domain = lattice(2, shape=(12, 10))
+    body = points.fill(domain, 2, inside=lambda x: (x[:, 0] < 1.9) & (x[:, 1] < -1.1))
+    use(body, name)
+    V = space(domain)
+    tying = Tying(V, body, ActiveCells(body))
+    x, diagonal = tying.matrix.createVecs()
+    tying.matrix.getDiagonal(diagonal)
+    tied = diagonal.array_r == 0.0
+    seen = p2g(body, body.weight, V).array[: len(tied)] > 0
+    assert COMM.allreduce(int(tied.sum())) > 5
+    assert not np.any(tied & ~seen)  # nothing else than what the points see
+    exact = fem.Function(V)
+    exact.interpolate(lambda x: x[0] - 2 * x[1])
+    expected = exact.x.array[: len(tied)]
+    x.array_w[:] = np.where(tied, 1e3, expected)
+    tying.extend(x)
+    assert x.array_r == pytest.approx(expected, abs=1e-11)
 
 
 # --- dynamics ------------------------------------------------------------------------------------

@@ -185,8 +185,9 @@ class LatticeStencil:
             ValueError: for spaces other than Lagrange of degree 1.
         """
         if id(space) not in self._dofs:
-            n = len(self._nodes)
-            columns = [blocks[self._nodes].reshape(n, -1) for blocks in self._node_blocks(space)]
+            n, width = self._nodes.shape
+            parts = self._node_blocks(space)
+            columns = [part[self._nodes].reshape(n, width * part.shape[1]) for part in parts]
             self._dofs[id(space)] = space, np.hstack(columns)
         return self._dofs[id(space)][1]
 

@@ -148,7 +148,8 @@ class Layout:
         """``(n_groups, n_local)`` unrolled local dofs of a dolfinx space in the slots' order."""
         bs = space.dofmap.bs
         blocks = stencil.dofs(space)
-        dofs = (blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)).reshape(len(blocks), -1)
+        dofs = blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)
+        dofs = dofs.reshape(len(blocks), blocks.shape[1] * bs)
         order = []
         first = 0
         for leaf in self.leaves:

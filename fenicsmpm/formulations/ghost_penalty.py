@@ -11,6 +11,7 @@ from dolfinx import fem
 from fenicsmpm.formulations.mixed import parts
 from fenicsmpm.mapping import ActiveCells
 from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points.geometry import cell_geometry
 
 
 def ghost_penalty(
@@ -38,7 +39,11 @@ def ghost_penalty(
     w, q = parts(V)[:2]
     mesh = cells.mesh
     n = ufl.FacetNormal(mesh.ufl_domain())("+")
-    h = ufl.avg(ufl.CellVolume(mesh.ufl_domain())) ** (1 / mesh.geometry.dim)
+    domain = mesh.ufl_domain()
+    # FFCx has no volume of quadrilaterals and hexahedra; that of the reference cell is one
+    is_simplex = cell_geometry(mesh).is_simplex
+    volume = ufl.CellVolume(domain) if is_simplex else abs(ufl.JacobianDeterminant(domain))
+    h = ufl.avg(volume) ** (1 / mesh.geometry.dim)
 
     def jump(f: Any) -> Any:
         return ufl.dot(ufl.grad(f)("+") - ufl.grad(f)("-"), n)

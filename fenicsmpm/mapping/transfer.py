@@ -99,7 +99,7 @@ def _columns(
     """``(n_points, size)``: mass, then m f less m G x of each field, then m G_k of those with G."""
     n, dim = points.x.shape
     values: dict[str, npt.NDArray[np.float64]] = {
-        name: points[name].reshape(n, math.prod(points[name].shape[1:])) for name in names
+        name: points[name].reshape(n, math.prod(points.field_shape(name))) for name in names
     }
     steep = []
     for name, slope in slopes.items():

@@ -182,7 +182,7 @@ class CellGeometry:
         # det dx/dxi is at most quadratic in each coordinate (hexahedra).
         points, weights = basix.make_quadrature(self.cell, 2)
         det = self.determinant(np.repeat(cells, len(weights)), np.tile(points, (len(cells), 1)))
-        return det.reshape(len(cells), -1) @ weights
+        return det.reshape(len(cells), len(weights)) @ weights
 
 
 def _expand(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
