@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import cpp, fem, jit
+from dolfinx.mesh import GhostMode, create_cell_partitioner
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
@@ -72,6 +73,17 @@ def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
     """Cell to geometry node map ``(n_cells, n_nodes)`` of a mesh with one cell type."""
     geometry = mesh.geometry
     return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
+
+
+def cell_partitioner() -> Any:
+    """Dolfinx's own function that spreads cells over ranks, without ghosts.
+
+    From 0.10 on the number of cells at a facet is asked for.
+    """
+    try:
+        return create_cell_partitioner(GhostMode.none, 2)
+    except TypeError:
+        return create_cell_partitioner(GhostMode.none)
 
 
 def is_on(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:

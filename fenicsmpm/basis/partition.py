@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp
-from dolfinx.mesh import GhostMode, create_cell_partitioner
+
+from fenicsmpm import _compat
 
 _Array = npt.NDArray[np.int64]
 
@@ -28,7 +29,7 @@ def shared_vertex_partitioner(comm: Any, n_parts: int, cell_types: Any, cells: A
     Returns:
         Adjacency list: ranks that get each cell, the owner first.
     """
-    parts = create_cell_partitioner(GhostMode.none)(comm, n_parts, cell_types, cells)
+    parts = _compat.cell_partitioner()(comm, n_parts, cell_types, cells)
     owner = parts.array[parts.offsets[:-1]].astype(np.int64)
     n = len(owner)
     vertices = np.asarray(cells[0], dtype=np.int64).reshape(n, -1 if n else 1)
