@@ -7,7 +7,18 @@ from mpi4py import MPI
 
 import numba
 
-from fenicsmpm import diagnostics, forms, formulations, io, mapping, materials, points, solvers
+from fenicsmpm import (
+    basis,
+    diagnostics,
+    explicit,
+    forms,
+    formulations,
+    io,
+    mapping,
+    materials,
+    points,
+    solvers,
+)
 from fenicsmpm.implicit import ImplicitMPM
 from fenicsmpm.points import MaterialPoints
 
@@ -16,7 +27,9 @@ __version__ = "0.1.0"
 __all__ = [
     "ImplicitMPM",
     "MaterialPoints",
+    "basis",
     "diagnostics",
+    "explicit",
     "forms",
     "formulations",
     "io",

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from fenicsmpm import forms
 from fenicsmpm.materials import NeoHookean
@@ -70,6 +71,33 @@ def strain_energy(body: MaterialPoints, law: NeoHookean) -> float:
     F, J = body.field("F"), body.field("J")
     energy = law.energy(F, J) * body.field("V_0") / body.field("weight")
     return float(forms.assemble_scalar(forms.form(energy * body.dx)))
+
+
+def roughness(body: MaterialPoints, values: npt.NDArray[np.float64], spacing: float) -> float:
+    """How much a field oscillates from point to point (collective).
+
+    The root mean square of the differences between the value of a point and the mean of those that
+    were its neighbours on a lattice at the start, zero for linear fields; only points whose
+    neighbours are all on the same rank count.
+
+    Args:
+        body: material points that were seeded on a lattice, with the field "u".
+        values: ``(n,)`` one number a point.
+        spacing: of the lattice [m].
+
+    Returns:
+        In the unit of the values; zero if there are no such points.
+    """
+    X = (body.x - body["u"]) / spacing
+    dim = X.shape[1]
+    near = cKDTree(X).query(X, 2 * dim + 1, distance_upper_bound=1.01) if len(X) else None
+    total, count = 0.0, 0
+    if near is not None:
+        inner = np.isfinite(near[0]).all(axis=1)
+        means = values[near[1][inner, 1:]].mean(axis=1)
+        total, count = float(np.sum((values[inner] - means) ** 2)), int(inner.sum())
+    total, count = body.mesh.comm.allreduce(np.array([total, count]))
+    return float(np.sqrt(total / count)) if count else 0.0
 
 
 def probe(points: MaterialPoints, name: str) -> Any:

@@ -8,7 +8,7 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, points
+from fenicsmpm import ImplicitMPM, formulations, points
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum, strain_energy
 from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark
 from fenicsmpm.mapping import ActiveCells, correct_weights, project
@@ -374,7 +374,6 @@ def test_a_field_of_ones_own():
 def test_printing():
     text = repr(Flight().sim)
     assert "ImplicitMPM" in text and "144 points" in text and "Bossak(dt=0.01 s" in text
-    assert isinstance(Flight().body, MaterialPoints)
 
 
 @pytest.mark.slow

@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: MIT
+"""Explicit dynamics on lattices, with averaged volumes against locking (F-bar)."""
+
+from fenicsmpm.explicit.explicit_mpm import ExplicitMPM, Step, UnstableError
+from fenicsmpm.explicit.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
+from fenicsmpm.explicit.initial_state import set_initial_state
+
+__all__ = [
+    "ALGORITHM_1",
+    "TRUE_J",
+    "ExplicitMPM",
+    "FBar",
+    "Step",
+    "UnstableError",
+    "default_fbar",
+    "set_initial_state",
+]

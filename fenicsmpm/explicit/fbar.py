@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: MIT
+"""How J is averaged against volumetric locking (F-bar, section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fenicsmpm.materials import Law, NewtonianFluid
+
+
+@dataclass(frozen=True)
+class FBar:
+    """Averages of J by which stresses are found, ``F_bar = (J_bar / J)^(1/d) F``.
+
+    ``J_bar <- Pi((1 - r) J_bar dJ + r J)`` with the volume average Pi over the grid (eqs. 19-21).
+    With r = 0 this is the paper's algorithm 1: what is averaged is averaged again in each step, so
+    that J_bar and J drift apart, and a body under constant load creeps. With r = 1 it is its
+    equation 18, an average of the true J only, less smooth. A small r keeps the smoothness, and
+    J_bar close to J.
+
+    After that, ``F <- (J* / J)^(1/d) F`` with ``J* = J + s (J_bar - J)``: what holds together the
+    true J of neighbours in a fluid, where no stress does.
+
+    Attributes:
+        r: share of the true J, 0 to 1.
+        s: share of the difference by which the true J is corrected in each step, 0 to 1.
+
+    Raises:
+        ValueError: for shares out of range.
+    """
+
+    r: float = 0.03
+    s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the shares."""
+        if not (0 <= self.r <= 1 and 0 <= self.s <= 1):
+            raise ValueError(f"shares of F-bar must lie in [0, 1]: r = {self.r}, s = {self.s}")
+
+
+ALGORITHM_1 = FBar(r=0.0)
+TRUE_J = FBar(r=1.0)
+
+
+def default_fbar(law: Law) -> FBar:
+    """Averages that neither creep nor oscillate, for solids or fluids."""
+    return FBar(r=0.1, s=0.01) if isinstance(law, NewtonianFluid) else FBar()

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: MIT
+"""The lattice's nodes in an explicit step: rows of numbers, momentum balance, conditions.
+
+Nodes are numbered through, the last direction fastest, whatever dolfinx' numbers are. Each thread
+adds its points to rows of its own; they are summed up in the order of threads.
+"""
+
+# mypy: disallow_untyped_defs=False
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from fenicsmpm import _compat
+from fenicsmpm.basis.lattice import Lattice
+from fenicsmpm.explicit.simd import LANES
+
+
+class Nodes(NamedTuple):
+    """Nodes of a lattice on all ranks, for compiled loops.
+
+    In the plane, the third direction has one node.
+
+    Attributes:
+        origin: ``(3,)`` lowest node [m].
+        per_metre: ``(3,)`` cells per metre.
+        shape: ``(3,)`` number of nodes in each direction.
+    """
+
+    origin: npt.NDArray[np.float64]
+    per_metre: npt.NDArray[np.float64]
+    shape: npt.NDArray[np.int64]
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return int(np.prod(self.shape))
+
+    def numbers(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        """Numbers of the nodes at positions ``(n, 3)`` [m]."""
+        index = np.rint((x - self.origin) * self.per_metre).astype(np.int64)
+        numbers = np.ravel_multi_index(tuple(index.T), tuple(self.shape))
+        return np.asarray(numbers, dtype=np.int64)
+
+
+def nodes_of(lattice: Lattice) -> Nodes:
+    """Nodes of a lattice."""
+    dim = len(lattice.spacing)
+    origin, per_metre, shape = np.zeros(3), np.ones(3), np.ones(3, dtype=np.int64)
+    origin[:dim] = lattice.origin
+    per_metre[:dim] = 1.0 / lattice.spacing
+    shape[:dim] = lattice.shape + 1
+    return Nodes(origin, per_metre, shape)
+
+
+class Constraints(NamedTuple):
+    """Prescribed components of velocities.
+
+    Attributes:
+        nodes: ``(n,)`` numbers.
+        components: ``(n,)`` 0, 1 or 2.
+        values: ``(n,)`` [m/s].
+    """
+
+    nodes: npt.NDArray[np.int64]
+    components: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+
+
+def constraints(nodes: Nodes, V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Constraints:
+    """Dirichlet conditions on velocities, with their values now, known to all ranks (collective).
+
+    Args:
+        nodes: of V's mesh.
+        V: space of velocities, linear, with a block of d components a node.
+        bcs: conditions on V or its components.
+    """
+    dim = V.mesh.geometry.dim
+    value = fem.Function(V)
+    dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in bcs)]))
+    for bc in bcs:
+        _compat.bc_set(bc, value.x.array, None, 1.0)
+    numbers = nodes.numbers(V.tabulate_dof_coordinates())[dofs // dim]
+    mine = np.column_stack([numbers, dofs % dim, value.x.array[dofs]])
+    everyone = np.unique(np.concatenate(V.mesh.comm.allgather(mine)), axis=0)
+    return Constraints(
+        everyone[:, 0].astype(np.int64), everyone[:, 1].astype(np.int64), everyone[:, 2].copy()
+    )
+
+
+def empty_rows(threads: int, nodes: int) -> npt.NDArray[np.float64]:
+    """``(threads, nodes, 8)`` zeros, each row in one cache line."""
+    size = threads * nodes * LANES
+    memory = np.zeros(size + LANES)
+    skip = (-memory.ctypes.data // memory.itemsize) % LANES
+    return memory[skip : skip + size].reshape(threads, nodes, LANES)
+
+
+@numba.njit(cache=True, parallel=True)
+def clear(rows):
+    """Zeros for all threads and nodes."""
+    for n in numba.prange(rows.shape[1]):
+        for t in range(rows.shape[0]):
+            for i in range(rows.shape[2]):
+                rows[t, n, i] = 0.0
+
+
+@numba.njit(cache=True, parallel=True)
+def sum_threads(rows):
+    """Add the rows of all threads to those of the first."""
+    for n in numba.prange(rows.shape[1]):
+        for t in range(1, rows.shape[0]):
+            for i in range(rows.shape[2]):
+                rows[0, n, i] += rows[t, n, i]
+
+
+@numba.njit(cache=True, parallel=True)
+def sum_averages(averages):
+    """Add the averages of all threads to those of the first."""
+    for n in numba.prange(averages.shape[1]):
+        for t in range(1, averages.shape[0]):
+            averages[0, n] += averages[t, n]
+
+
+@numba.njit(cache=True, parallel=True)
+def update_nodes(rows, dt, gravity, damping, least_mass):
+    """New velocities of the nodes, eq. 9 (F-bar), with local damping.
+
+    The damping force is that share of the unbalanced force, against the motion (Al-Kafaji,
+    *Formulation of a dynamic material point method for geomechanical problems*, 2013).
+    """
+    for n in numba.prange(len(rows)):
+        m = rows[n, 0]
+        if m > least_mass:
+            for k in range(3):
+                v = rows[n, 1 + k] / m
+                f = rows[n, 5 + k] + m * gravity[k]
+                dv = dt * (f - damping * abs(f) * np.sign(v)) / m
+                rows[n, 1 + k] = v + dv
+                rows[n, 5 + k] = dv
+        else:
+            for k in range(3):
+                rows[n, 1 + k] = 0.0
+                rows[n, 5 + k] = 0.0
+
+
+@numba.njit(cache=True)
+def reactions(rows, dt, gravity, nodes, components, values):
+    """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
+
+    Supported nodes are not damped: the reaction to a body at rest is its weight.
+    """
+    total = np.zeros(3)
+    for i in range(len(nodes)):
+        n, k = nodes[i], components[i]
+        m = rows[n, 0]
+        total[k] += (m * values[i] - rows[n, 1 + k]) / dt - rows[n, 5 + k] - m * gravity[k]
+    return total
+
+
+@numba.njit(cache=True)
+def constrain(rows, nodes, components, values):
+    """Prescribe velocities of updated nodes."""
+    for i in range(len(nodes)):
+        n, k = nodes[i], components[i]
+        rows[n, 5 + k] += values[i] - rows[n, 1 + k]
+        rows[n, 1 + k] = values[i]
+
+
+@numba.njit(cache=True, parallel=True)
+def average_nodes(rows, averages):
+    """Volume-averaged J at the nodes (F-bar, eq. 19) from its sums."""
+    for n in numba.prange(len(rows)):
+        volume = rows[n, 4]
+        # nodes at the edge of a point's support may have neither volume nor J
+        averages[n] = averages[n] / volume if volume > 0.0 else 0.0

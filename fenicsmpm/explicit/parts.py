@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: MIT
+"""Point sets of an explicit simulation: bodies of some material, and points that carry forces."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.basis.lattice import lattice_of
+from fenicsmpm.basis.lines import GIMP
+from fenicsmpm.explicit.fbar import FBar
+from fenicsmpm.explicit.grid import Nodes
+from fenicsmpm.explicit.kernels import Body, carriers, transfers
+from fenicsmpm.materials import Law, NewtonianFluid
+from fenicsmpm.points import MaterialPoints
+
+_NEEDED = ("mass", "V_0", "F", "J", "J_bar", "u", "v", "sigma", "state")
+
+Array = npt.NDArray[np.float64]
+
+
+class Part:
+    """A body and its law.
+
+    Between ``begin`` and ``settle``, steps work on arrays of their own, and the points are as they
+    were: dolfinx' cells are not needed in a step, nor displacements and stresses.
+
+    Args:
+        points: the body.
+        law: its law.
+        kind: of grid functions.
+        fbar: averages of J, or None.
+
+    Raises:
+        ValueError: for points that miss fields, or have those of another law.
+    """
+
+    def __init__(self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None) -> None:
+        """Check the fields."""
+        missing = [name for name in _NEEDED if name not in points]
+        if missing or points.field_shape("state") != (law.n_state,):
+            raise ValueError(
+                f"a body without the fields {', '.join(missing) or 'of its law'}: call "
+                "explicit.set_initial_state(points, law, density) first"
+            )
+        dim = points.mesh.geometry.dim
+        self.points, self.law, self._fbar = points, law, fbar
+        self._dim, self._is_fluid = dim, isinstance(law, NewtonianFluid)
+        self._kernels = transfers(dim, kind, law.update, self._is_fluid)
+        self._half = half_size(points, kind)
+
+    def begin(self, threads: int) -> None:
+        """Take working copies of what steps change; the points stay as they are."""
+        points, d = self.points, self._dim
+        n = len(points)
+        self._body = Body(
+            x=points.x.copy(),
+            x_next=np.empty((n, d)),
+            v=points["v"].copy(),
+            F=points["F"][:, :d, :d].copy(),
+            J_bar=points["J_bar"].copy(),
+            mass=points["mass"],
+            V_0=points["V_0"],
+            state=points["state"].copy(),
+            L=np.zeros((n if self._is_fluid else 0, d, d)),
+            parameters=np.asarray(self.law.parameters),
+        )
+        self._sigma = np.empty((0, 3, 3))
+        self._ranges = np.linspace(0, n, threads + 1).astype(np.int64)
+
+    def scatter(self, rows: Array, nodes: Nodes) -> None:
+        """Add the points to the nodes before the first step."""
+        sigma = self.points["sigma"]
+        self._kernels.scatter(self._ranges, nodes, self._half, self._body, sigma, rows)
+
+    def gather(self, rows: Array, averages: Array, nodes: Nodes, dt: float, flip: float) -> int:
+        """Velocities, positions and F from the nodes, and J to them.
+
+        Returns:
+            A point that is inverted, not finite or outside; or -1.
+        """
+        average = self._fbar is not None
+        r = self._fbar.r if self._fbar else 0.0
+        return int(
+            self._kernels.gather(
+                self._ranges, nodes, self._half, self._body, rows, dt, flip, average, r, averages
+            )
+        )
+
+    def finish(self, averages: Array, nodes: Nodes, again: bool, rows: Array) -> None:
+        """Stresses and new positions; if ``again``, add the points to the nodes."""
+        body, average = self._body, self._fbar is not None
+        s = self._fbar.s if self._fbar else 0.0
+        if not again:
+            self._sigma = np.empty((len(body.x), 3, 3))
+        self._kernels.finish(
+            self._ranges, nodes, self._half, body, average, s, averages, again, self._sigma, rows
+        )
+        self._body = body._replace(x=body.x_next, x_next=body.x)
+
+    def settle(self, sort: bool) -> None:
+        """Give the points what has changed, and bring their cells up to date (collective)."""
+        points, body, d = self.points, self._body, self._dim
+        F = np.tile(np.eye(3), (len(points), 1, 1))
+        F[:, :d, :d] = body.F
+        J = determinants(F)
+        points.assign(
+            {
+                "u": points["u"] + (body.x - points.x),
+                "v": body.v,
+                "F": F,
+                "J": J,
+                "J_bar": body.J_bar,
+                "sigma": self._sigma,
+                "state": body.state,
+                "weight": J * body.V_0,
+            }
+        )
+        points.move(body.x)
+        if sort:
+            points.sort()
+
+    def describe(self, p: int) -> str:
+        """What is wrong with a point, and where it is."""
+        J = float(np.linalg.det(self._body.F[p]))
+        where = np.array2string(self._body.x_next[p], precision=6)
+        what = (
+            "is inverted" if J <= 0 else "leaves the lattice" if np.isfinite(J) else "is not finite"
+        )
+        return f"point {self.points.id[p]} {what} at {where} with J = {J:g}"
+
+
+class Load:
+    """Points that carry forces and move with the grid.
+
+    Args:
+        points: boundary points with a field "force" ``(d,)`` [N]; they get "u" if it is missing.
+        kind: of grid functions.
+
+    Raises:
+        ValueError: for points without forces.
+    """
+
+    def __init__(self, points: MaterialPoints, kind: int) -> None:
+        """Check the field."""
+        dim = points.mesh.geometry.dim
+        if "force" not in points or points.field_shape("force") != (dim,):
+            raise ValueError(f"points of a load need a field 'force' of shape ({dim},) in N")
+        if "u" not in points:
+            points.add_field("u", (dim,))
+        self.points = points
+        self._kernels = carriers(dim, kind)
+        self._half = half_size(points, kind)
+        self._x = points.x.copy()
+
+    def begin(self) -> None:
+        """Take the present positions."""
+        self._x = self.points.x.copy()
+
+    def add_forces(self, rows: Array, nodes: Nodes) -> None:
+        """Add the forces to the nodes."""
+        self._kernels.add_forces(nodes, self._half, self._x, self.points["force"], rows)
+
+    def follow(self, rows: Array, nodes: Nodes, dt: float) -> None:
+        """Move with the updated nodes."""
+        self._kernels.follow(nodes, self._half, self._x, rows, dt)
+
+    def settle(self) -> None:
+        """Bring cells and displacements up to date (collective)."""
+        points = self.points
+        points.assign({"u": points["u"] + (self._x - points.x)})
+        points.move(self._x)
+
+
+def half_size(points: MaterialPoints, kind: int) -> Array:
+    """Half of the points' size in units of cells, ``(3,)``; only uGIMP needs it.
+
+    Points are taken for squares or cubes of the same size, those that carry loads for small.
+    """
+    half = np.full(3, 1e-6)
+    if kind == GIMP and "V_0" in points:
+        spacing = lattice_of(points.mesh).spacing
+        comm = points.mesh.comm
+        volume = comm.allreduce(float(points["V_0"].sum())) / points.size_global
+        half[: len(spacing)] = 0.5 * volume ** (1 / len(spacing)) / spacing
+    return half
+
+
+@numba.njit(cache=True, parallel=True)
+def determinants(F):  # type: ignore[no-untyped-def]
+    """Determinants ``(n,)`` of ``(n, 3, 3)``."""
+    J = np.empty(len(F))
+    for p in numba.prange(len(F)):
+        a = F[p]
+        J[p] = (
+            a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
+            - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
+            + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+        )
+    return J

@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: MIT
+"""Explicit dynamics: exact motions, conservation, averages of J, failures that leave no trace."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+
+from fenicsmpm import explicit, io, points
+from fenicsmpm.diagnostics import momentum, roughness
+from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid, VonMises, stress
+
+COMM = MPI.COMM_WORLD
+BASES = ["linear", "gimp", "quadratic", "cubic"]
+RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
+SHIFT = np.array([0.3, -0.2, 0.1])
+
+
+def lattice(dim, n=10, comm=COMM, size=1.0):
+    """A box of n cells a side, shifted, whose cells are no cubes."""
+    upper = size * np.array([1.0, 1.2, 0.9])
+    if dim == 2:
+        corners = [SHIFT[:2], SHIFT[:2] + upper[:2]]
+        return mesh.create_rectangle(comm, corners, [n, n], mesh.CellType.quadrilateral)
+    return mesh.create_box(comm, [SHIFT, SHIFT + upper], [n] * 3, mesh.CellType.hexahedron)
+
+
+def block(dim, law=RUBBER, velocity=None, comm=COMM, n=10, spacing=0.05):
+    """A block in the middle of the box."""
+    domain = lattice(dim, n, comm)
+    centre = SHIFT[:dim] + 0.5
+
+    def inside(x):
+        return np.abs(x - centre).max(axis=1) < 0.2
+
+    body = points.lattice(domain, spacing, inside=inside)
+    explicit.set_initial_state(body, law, 2.0, velocity)
+    return body, fem.functionspace(domain, ("Lagrange", 1, (dim,))), centre
+
+
+def by_id(body, name):
+    values = np.concatenate(body.mesh.comm.allgather(body[name]))
+    return values[np.argsort(np.concatenate(body.mesh.comm.allgather(body.id)))]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("basis", BASES)
+def test_momentum_of_a_free_block(basis, dim):
+    def velocity(x):
+        return 0.05 * np.sin(7 * x[:, ::-1]) + 0.5
+
+    body, V, _ = block(dim, velocity=velocity)
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, basis=basis)
+    before = momentum(body)
+    for _ in sim.run(20.5 * sim.dt, 10 * sim.dt):
+        pass
+    assert sim.number >= 20
+    assert COMM.allreduce(np.abs(body["sigma"]).max(initial=0.0), MPI.MAX) > 0.02
+    assert momentum(body) == pytest.approx(before, rel=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("basis", BASES)
+def test_homogeneous_deformation(basis, dim):
+    """All nodes are moved: points follow exactly, whatever is averaged; the paper's eq. 14."""
+    rate = np.array([[0.3, -0.8, 0.2], [0.5, -0.2, 0.1], [-0.3, 0.4, 0.1]])[:dim, :dim]
+    for fbar in (
+        None,
+        explicit.FBar(),
+        explicit.ALGORITHM_1,
+        explicit.TRUE_J,
+        explicit.FBar(0.1, 0.1),
+    ):
+        centre = SHIFT[:dim] + 0.5
+        body, V, _ = block(dim, velocity=lambda x: (x - SHIFT[:dim] - 0.5) @ rate.T)
+        value = fem.Function(V)
+        value.interpolate(lambda x: rate @ (x[:dim] - centre[:, None]))
+        everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
+        sim = explicit.ExplicitMPM(
+            V, {body: RUBBER}, basis=basis, dt=1e-3, fbar=fbar,
+            bcs=[fem.dirichletbc(value, everything)],
+        )  # fmt: skip
+        X = by_id(body, "x")
+        for _ in range(3):
+            sim.step()
+        step = np.eye(dim) + sim.dt * rate
+        F = np.eye(3)
+        F[:dim, :dim] = np.linalg.matrix_power(step, 3)
+        n = len(body)
+        assert body["F"] == pytest.approx(np.tile(F, (n, 1, 1)), abs=1e-13)
+        moved = centre + (X - centre) @ F[:dim, :dim].T
+        assert by_id(body, "x") == pytest.approx(moved, abs=1e-13)
+        assert by_id(body, "u") == pytest.approx(moved - X, abs=1e-13)
+        J = np.full(n, np.linalg.det(F))
+        assert body["J"] == pytest.approx(J, rel=1e-13)
+        assert body["J_bar"] == pytest.approx(J, rel=1e-12)
+        assert body.weight == pytest.approx(J * body["V_0"], rel=1e-13)
+        expected = stress(RUBBER, body["F"])
+        assert body["sigma"] == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rigid_rotation(dim):
+    """F grows by (spin dt)^2 a step where all nodes turn; a free body's surface bends a little."""
+    spin = 0.5
+
+    def velocity(x):
+        v = np.zeros_like(x)
+        v[:, 0], v[:, 1] = -spin * (x[:, 1] - 0.3), spin * (x[:, 0] - 0.8)
+        return v
+
+    for free in (False, True):
+        body, V, _ = block(dim, velocity=velocity)
+        value = fem.Function(V)
+        value.interpolate(lambda x: velocity(x.T[:, :dim]).T)
+        everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
+        bcs = [] if free else [fem.dirichletbc(value, everything)]
+        sim = explicit.ExplicitMPM(V, {body: RUBBER}, cfl=0.1, bcs=bcs)
+        for _ in sim.run(0.2, 0.1):
+            pass
+        angle = spin * sim.time
+        turned = np.eye(3)
+        turned[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        growth = spin**2 * sim.dt * sim.time
+        ones = np.ones(len(body))
+        assert body["J"] == pytest.approx(ones, abs=1e-2 if free else 1.1 * growth)
+        assert free or np.abs(body["F"] - turned).max() < 2 * growth
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_load_and_gravity(dim):
+    """A free body gets the momentum of its loads and its weight."""
+    body, V, centre = block(dim)
+    load = body.select(lambda x: np.abs(x - centre).max(axis=1) < 0.06)
+    load.add_field("force", (dim,), np.arange(1.0, dim + 1))
+    g = np.array([0.0, -3.0, 1.0])[:dim]
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, gravity=g, loads=[load])
+    for _ in range(5):
+        sim.step()
+    force = load["force"].sum(axis=0) + g * body["mass"].sum()
+    assert momentum(body) == pytest.approx(sim.time * force, rel=1e-12)
+    assert load["u"] == pytest.approx(load.x - (load.x - load["u"]))
+    assert np.abs(load["u"]).max() > 0
+
+
+def test_reaction_of_a_support():
+    """What holds a body at rest on the floor is its weight, once it has settled."""
+    corners = [(0, 0), (0.125, 1)]
+    domain = mesh.create_rectangle(COMM, corners, [8, 64], mesh.CellType.quadrilateral)
+    body = points.lattice(domain, 1 / 128, inside=lambda x: x[:, 1] < 0.5)
+    explicit.set_initial_state(body, RUBBER, 2.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    zero = fem.Constant(domain, 0.0)
+    places = {0: lambda x: np.isclose(x[0] * (0.125 - x[0]), 0), 1: lambda x: np.isclose(x[1], 0)}
+    walls = []
+    for k, place in places.items():
+        part = V.sub(k)
+        dofs = fem.locate_dofs_geometrical((part, part.collapse()[0]), place)[0]
+        walls.append(fem.dirichletbc(zero, dofs, part))
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, gravity=(0, -1), bcs=walls, damping=0.7)
+    for _ in sim.run(2.0, 1.0):
+        pass
+    weight = body["mass"].sum()
+    assert sim.reaction[1] == pytest.approx(weight, rel=1e-3)
+    height = 0.5 - (body.x[:, 1] - body["u"][:, 1])
+    modulus = RUBBER.wave_speed_modulus
+    assert body["sigma"][:, 1, 1] == pytest.approx(-2.0 * height, abs=0.05)
+    assert body["u"][:, 1].min() == pytest.approx(-2.0 * 0.5**2 / (2 * modulus), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "law", [Hencky(100.0, 0.3), VonMises(100.0, 0.3, sigma_y=2.0), NewtonianFluid(100.0, 0.1)]
+)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_materials_in_a_shear_flow(law, dim):
+    rate = np.zeros((dim, dim))
+    rate[0, 1] = 2.0
+    centre = SHIFT[:dim] + 0.5
+    body, V, _ = block(dim, law, velocity=lambda x: (x - centre) @ rate.T)
+    value = fem.Function(V)
+    value.interpolate(lambda x: rate @ (x[:dim] - centre[:, None]))
+    everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
+    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3, bcs=[fem.dirichletbc(value, everything)])
+    F, L, state = np.eye(3)[None], np.zeros((1, 3, 3)), law.initial_state(1)
+    L[0, :dim, :dim] = rate
+    for _ in range(10):
+        sim.step()
+        F = F + sim.dt * L @ F
+        expected = stress(law, F, L, state)
+    n = len(body)
+    assert body["sigma"] == pytest.approx(np.tile(expected, (n, 1, 1)), abs=1e-9)
+    assert body["state"] == pytest.approx(np.tile(state, (n, 1)), abs=1e-12)
+
+
+def test_averages_remove_a_checkerboard():
+    rng = np.random.default_rng(1)
+    body, V, _ = block(2, NeoHookean(E=1.0, nu=0.499).pointwise(), n=20, spacing=0.025)
+    F = np.tile(np.eye(3), (len(body), 1, 1))
+    F[:, :2, :2] *= (1 + 1e-3 * rng.standard_normal(len(body)))[:, None, None]
+    body["F"], body["J"] = F, np.linalg.det(F)
+    law = NeoHookean(E=1.0, nu=0.499).pointwise()
+    rough = {}
+    for name, fbar in (("standard", None), ("averaged", explicit.TRUE_J)):
+        copy = body.copy()
+        explicit.ExplicitMPM(V, {copy: law}, fbar=fbar, dt=1e-6).step()
+        p = np.trace(copy["sigma"], axis1=1, axis2=2) / 3
+        rough[name] = roughness(copy, p, 0.025)
+    assert rough["averaged"] < 0.2 * rough["standard"]
+
+
+@pytest.mark.mpi
+def test_the_same_on_any_number_of_ranks(tmp_path):
+    def run(comm):
+        def velocity(x):
+            return np.column_stack([0 * x[:, 0] + 1.0, np.sin(5 * x[:, 0])])
+
+        body, V, _ = block(2, velocity=velocity, comm=comm, n=12)
+        sim = explicit.ExplicitMPM(V, {body: RUBBER}, flip=0.98)
+        for _ in sim.run(0.15, 0.05):
+            pass
+        return by_id(body, "x"), by_id(body, "sigma")
+
+    alone, together = run(MPI.COMM_SELF), run(COMM)
+    for a, b in zip(alone, together, strict=True):
+        assert b == pytest.approx(a, abs=1e-9 * np.abs(a).max())
+
+
+@pytest.mark.mpi
+def test_restart_goes_on_bit_by_bit(tmp_path):
+    path = COMM.bcast(tmp_path) / "state.h5"
+
+    def start():
+        body, V, _ = block(2, velocity=lambda x: np.sin(7 * x))
+        return explicit.ExplicitMPM(V, {body: RUBBER}), body
+
+    sim, body = start()
+    for _ in range(60):
+        sim.step()
+    io.checkpoint.save(path, sim)
+    for _ in range(60):
+        sim.step()
+    again, copy = start()
+    io.checkpoint.restore(path, again)
+    for _ in range(60):
+        again.step()
+    assert again.number == 120 and again.time == sim.time
+    for name in ("x", "v", "F", "sigma", "J_bar"):
+        assert np.array_equal(body[name], copy[name]), name
+
+
+def test_what_fails_leaves_the_points_as_they_were(caplog):
+    body, V, _ = block(2, velocity=lambda x: np.sin(20 * x))
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, dt=1.0)
+    assert "above the limit of stability, about" in caplog.text
+    before = body.snapshot()
+    with pytest.raises(explicit.UnstableError, match=r"step \d+, t = .* point \d+ .* J = "):
+        list(sim.run(200.0, 50.0))
+    for name, array in before.items():
+        assert np.array_equal(body[name], array), name
+    assert (sim.time, sim.number) == (0.0, 0)
+
+    body, V, _ = block(2, velocity=lambda x: np.tile([5.0, 0.0], (len(x), 1)))
+    sim = explicit.ExplicitMPM(V, {body: RUBBER})
+    with pytest.raises(explicit.UnstableError, match="leaves the lattice"):
+        for _ in sim.run(1.0, 0.01):
+            assert body.x[:, 0].max() <= SHIFT[0] + 1.0
+
+
+def test_wrong_input():
+    body, V, _ = block(2)
+    triangles = mesh.create_unit_square(MPI.COMM_SELF, 4, 4)
+    W = fem.functionspace(triangles, ("Lagrange", 1, (2,)))
+    other = points.fill(triangles, 1)
+    with pytest.raises(ValueError, match="axis-parallel boxes"):
+        explicit.ExplicitMPM(W, {other: RUBBER})
+    new = points.fill(V.mesh, 1)
+    with pytest.raises(ValueError, match=r"without the fields mass, .*set_initial_state"):
+        explicit.ExplicitMPM(V, {new: RUBBER})
+    with pytest.raises(ValueError, match="of its law"):
+        explicit.ExplicitMPM(V, {body: VonMises(1.0, 0.3, sigma_y=1.0)})
+    with pytest.raises(ValueError, match="field 'force'"):
+        explicit.ExplicitMPM(V, {body: RUBBER}, loads=[new])
+    with pytest.raises(ValueError, match="needs a body"):
+        explicit.ExplicitMPM(V, {})
+    with pytest.raises(ValueError, match="linear Lagrange space with 2 components"):
+        explicit.ExplicitMPM(fem.functionspace(V.mesh, ("Lagrange", 2, (2,))), {body: RUBBER})
+    for options, message in (
+        ({"basis": "quartic"}, "no grid functions 'quartic'"),
+        ({"dt": 0.0}, "time step must be positive"),
+        ({"flip": 1.5}, "flip"),
+        ({"damping": 1.0}, "damping"),
+        ({"cfl": np.nan}, "cfl"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            explicit.ExplicitMPM(V, {body: RUBBER}, **options)
+    with pytest.raises(ValueError, match="shares of F-bar"):
+        explicit.FBar(r=-0.1)
+    sim = explicit.ExplicitMPM(V, {body: RUBBER})
+    for until, interval in ((np.inf, None), (1.0, 0.0)):
+        with pytest.raises(ValueError, match="run until"):
+            next(sim.run(until, interval))
+    assert "points of" in repr(sim) and "dt = " in repr(sim)
+
+
+def test_the_paper_s_time_step():
+    """F-bar, section 4.1: 0.3 h / c is 2.773 ms for cells of 1 m."""
+    domain = mesh.create_rectangle(COMM, [(0, 0), (8, 8)], [8, 8], mesh.CellType.quadrilateral)
+    body = points.fill(domain, 2, inside=lambda x: x[:, 0] < 4)
+    law = NeoHookean(E=70.0, nu=0.499).pointwise()
+    explicit.set_initial_state(body, law, 1.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    assert explicit.ExplicitMPM(V, {body: law}, cfl=0.3).dt == pytest.approx(2.773e-3, rel=5e-4)
