@@ -74,6 +74,10 @@ class Case:
     def label(self):
         return f"h = {self.h:.4g} m, {self.per_cell} points a cell"
 
+    def files(self):
+        """Name of the files of this case, without endings."""
+        return f"{self.name}_{self.h:.4g}m_{self.per_cell}"
+
 
 def beam(**options):
     return Case(
@@ -132,22 +136,38 @@ def build(case):
     return ImplicitMPM(R, U, scheme, body, carried=[tip], bcs=[bc], adapt=adapt, taylor=case.taylor)
 
 
-# A run writes a file for ParaView every `interval`. Where it fails, it shows what it has. The sum
-# of kinetic and strain energy should stay what it was.
+# A run writes a file for ParaView every `interval`, a table of the displacements of the corner, and
+# now and then a checkpoint, from which `--restart` goes on. Where it fails, it shows what it has.
+# The sum of kinetic and strain energy should stay what it was.
 
 
-def run(case, until, output, movie=False, interval=0.02):
+def run(case, until, output, movie=False, restart=False, interval=0.02, steps_between_saves=100):
     sim = build(case)
     body, tip = sim.bodies[0], sim.carried[0]
     io.say(f"{case.label()}: {body.size_global} material points of {body.volume:.4g} m^3")
     law = NeoHookean(YOUNG, nu=0.5)
     at_start = kinetic_energy(body)
-    history, frames = [(0.0, 0.0, 0.0, 0.0)], []
+    checkpoint = output / f"{case.files()}.h5"
+    saved = None
+    if restart and checkpoint.exists():
+        io.checkpoint.restore(checkpoint, sim)
+        saved = sim.time
+        io.say(f"  goes on from t = {sim.time:.4g} s")
+    columns = {"t [s]": lambda: sim.time}
+    columns |= {f"u_{name} [m]": lambda i=i: probe(tip, "u")[i] for i, name in enumerate("xyz")}
     parameters = {"h [m]": case.h, "points a cell": case.per_cell, "E [Pa]": YOUNG, "nu": 0.5}
-    with io.Series(output / f"{case.name}.pvd", body, parameters) as series:
+    table = output / f"{case.files()}.csv"
+    history = io.History(table, columns, parameters, append_after=saved)
+    if saved is None:
+        history.write()
+    frames = sorted((output / "frames").glob("*.png")) if movie and saved is not None else []
+    series_path = output / f"{case.files()}.pvd"
+    with io.Series(series_path, body, parameters, append_after=saved) as series:
         try:
             for step in io.watch(sim.run(until), until, case.label()):
-                history.append((step.time, *probe(tip, "u")))
+                history.write()
+                if step.number % steps_between_saves == 0:
+                    io.checkpoint.save(checkpoint, sim)
                 if step.time < (len(series.times) + 1) * interval - 1e-9:
                     continue
                 series.write(step.time)
@@ -160,7 +180,7 @@ def run(case, until, output, movie=False, interval=0.02):
     io.say(f"energy at t = {sim.time:.4g} s: {energy / at_start:.2%} of that at the start")
     if frames:
         io.animate(output / f"{case.name}.gif", frames, comm=body.mesh.comm)
-    return sim, np.array(history)
+    return sim, np.loadtxt(table, delimiter=",", comments=["#", "t"], ndmin=2)
 
 
 # Frames of an animation have the same colours and show the same box.
@@ -233,16 +253,16 @@ def plot(path, case, histories):
     figure.savefig(path, dpi=160)
 
 
-def show(cases, until, output, movie):
+def show(cases, until, output, movie, restart):
     histories = {}
     for case in cases:
-        sim, history = run(case, until, output, movie)
+        sim, history = run(case, until, output, movie, restart)
         histories[case.label()] = history
         compare(case, history)
         draw(output / f"{case.name}.png", case, sim.bodies[0], f"t = {sim.time:.3f} s", frame=False)
         plot(output / f"{case.name}_tip.png", case, histories)
     name = cases[0].name
-    io.say(f"{name}.pvd, {name}.png and {name}_tip.png are in {output}")
+    io.say(f"{cases[-1].files()}.pvd, {name}.png and {name}_tip.png are in {output}")
     return histories
 
 
@@ -264,6 +284,7 @@ def main(arguments=None, make=beam, end=0.3, full_end=3.0, description="Bending 
     add("--full", nargs="*", type=int, choices=range(1, 6), metavar="CASE", help=cases_help)
     add("--short", action="store_true", help="a few steps on a coarse mesh, for a test")
     add("--movie", action="store_true", help="write an animation, too")
+    add("--restart", action="store_true", help="go on from the last checkpoints in the output")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     add("-v", "--verbose", action="store_true", help="print a line for each Newton iteration")
     options = parser.parse_args(arguments)
@@ -289,7 +310,7 @@ def main(arguments=None, make=beam, end=0.3, full_end=3.0, description="Bending 
         cases = [make(**{names[name]: value for name, value in given.items()}, **common)]
         default_end = end
     until = default_end if options.until is None else options.until
-    return show(cases, until, options.output, options.movie)
+    return show(cases, until, options.output, options.movie, options.restart)
 
 
 if __name__ == "__main__":

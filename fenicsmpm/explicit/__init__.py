@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Explicit dynamics on lattices, with averaged volumes against locking (F-bar)."""
 
+from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.explicit_mpm import ExplicitMPM, Step, UnstableError
 from fenicsmpm.explicit.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.explicit.initial_state import set_initial_state
@@ -10,6 +11,7 @@ __all__ = [
     "TRUE_J",
     "ExplicitMPM",
     "FBar",
+    "RigidBox",
     "Step",
     "UnstableError",
     "default_fbar",

@@ -20,6 +20,7 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit import grid
+from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.fbar import FBar, default_fbar
 from fenicsmpm.explicit.parts import Load, Part
 from fenicsmpm.formulations.time_scheme import check_time_step
@@ -69,12 +70,14 @@ class ExplicitMPM:
         fbar: how J is averaged; None for no averaging (standard MPM); by default for each law what
             ``explicit.default_fbar`` says.
         loads: points that carry forces in a field "force" (d,) [N] and move with the grid.
+        rigid: boxes that bodies cannot enter.
         data: called with the time at the beginning of each step, to set loads and boundary values.
 
     Attributes:
         time: [s].
         number: of steps done.
-        dt: length of the next step [s].
+        dt: length of the last step [s], before the first of that.
+        laws: law of each body; may be replaced by one of the same kind with other parameters.
         reaction: force on the grid by Dirichlet conditions in the last step, (3,) [N].
 
     Raises:
@@ -96,6 +99,7 @@ class ExplicitMPM:
         damping: float = 0.0,
         fbar: FBar | Literal["default"] | None = "default",
         loads: Sequence[MaterialPoints] = (),
+        rigid: Sequence[RigidBox] = (),
         data: Callable[[float], None] | None = None,
     ) -> None:
         """Check everything; kernels are compiled in the first step (collective)."""
@@ -119,9 +123,9 @@ class ExplicitMPM:
             Part(body, law, self._kind, default_fbar(law) if fbar == "default" else fbar)
             for body, law in bodies.items()
         ]
-        self.bodies, self.carried = list(bodies), list(loads)
+        self.bodies, self.carried, self.laws = list(bodies), list(loads), dict(bodies)
         self._loads = [Load(points, self._kind) for points in loads]
-        self.bcs = list(bcs)
+        self.bcs, self.rigid = list(bcs), list(rigid)
         self.gravity = np.zeros(3)
         if gravity is not None:
             self.gravity[: len(self._spacing)] = gravity
@@ -186,7 +190,7 @@ class ExplicitMPM:
         try:
             grid.clear(self._rows)
             for part in self._parts:
-                part.begin(len(self._rows))
+                part.begin(len(self._rows), self.laws[part.points])
                 part.scatter(self._rows, self._nodes)
             for load in self._loads:
                 load.begin()
@@ -214,6 +218,10 @@ class ExplicitMPM:
             self._fixed = grid.constraints(nodes, self.V, self.bcs)
         for load in self._loads:
             load.add_forces(rows[0], nodes)
+        for box in self.rigid:
+            velocity = box.velocity_at(self.time)
+            forces = [part.push(box, velocity, dt, rows[0], nodes) for part in self._parts]
+            box.force = np.sum(forces, axis=0)
         grid.sum_threads(rows)
         self._add_ranks(rows[0])
         self.reaction = grid.reactions(rows[0], dt, self.gravity, *self._fixed)
@@ -223,6 +231,12 @@ class ExplicitMPM:
             load.follow(rows[0], nodes, dt)
         averages[:] = 0.0
         bad = [part.gather(rows[0], averages, nodes, dt, self.flip) for part in self._parts]
+        for box in self.rigid:
+            velocity = box.velocity_at(self.time)
+            box.move(dt * velocity)
+            forces = [part.hold_back(box, velocity, dt) for part in self._parts]
+            box.force += np.sum(forces, axis=0)
+            self._add_ranks(box.force)
         self._raise_if(bad)
         grid.sum_averages(averages)
         self._add_ranks(averages[0])
@@ -273,9 +287,10 @@ class ExplicitMPM:
         for part in self._parts:
             points = part.points
             if len(points):
+                modulus = self.laws[points].wave_speed_modulus
                 density = float(np.min(points["mass"] / points["V_0"]))
                 speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
-                fastest = max(fastest, speed + math.sqrt(part.law.wave_speed_modulus / density))
+                fastest = max(fastest, speed + math.sqrt(modulus / density))
         fastest = self.V.mesh.comm.allreduce(fastest, MPI.MAX)
         return float(np.min(self._spacing)) / fastest
 
@@ -293,9 +308,7 @@ class ExplicitMPM:
 
     def __repr__(self) -> str:
         """Bodies and time."""
-        bodies = ", ".join(
-            f"{part.points.size_global} points of {part.law}" for part in self._parts
-        )
+        bodies = ", ".join(f"{body.size_global} points of {law}" for body, law in self.laws.items())
         return (
             f"ExplicitMPM: {bodies}\n  step {self.number}, t = {self.time:g} s, dt = {self.dt:g} s"
         )

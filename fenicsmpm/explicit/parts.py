@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import GIMP
+from fenicsmpm.explicit.contact import RigidBox, contact
 from fenicsmpm.explicit.fbar import FBar
 from fenicsmpm.explicit.grid import Nodes
 from fenicsmpm.explicit.kernels import Body, carriers, transfers
@@ -45,13 +46,20 @@ class Part:
                 "explicit.set_initial_state(points, law, density) first"
             )
         dim = points.mesh.geometry.dim
-        self.points, self.law, self._fbar = points, law, fbar
+        self.points, self._update, self._fbar = points, law.update, fbar
         self._dim, self._is_fluid = dim, isinstance(law, NewtonianFluid)
         self._kernels = transfers(dim, kind, law.update, self._is_fluid)
+        self._contact = contact(dim, kind)
         self._half = half_size(points, kind)
 
-    def begin(self, threads: int) -> None:
-        """Take working copies of what steps change; the points stay as they are."""
+    def begin(self, threads: int, law: Law) -> None:
+        """Take working copies of what steps change; the points stay as they are.
+
+        Raises:
+            ValueError: for a law of another kind than the first.
+        """
+        if law.update is not self._update:
+            raise ValueError(f"a body's law may change its parameters only: {law}")
         points, d = self.points, self._dim
         n = len(points)
         self._body = Body(
@@ -64,7 +72,7 @@ class Part:
             V_0=points["V_0"],
             state=points["state"].copy(),
             L=np.zeros((n if self._is_fluid else 0, d, d)),
-            parameters=np.asarray(self.law.parameters),
+            parameters=np.asarray(law.parameters),
         )
         self._sigma = np.empty((0, 3, 3))
         self._ranges = np.linspace(0, n, threads + 1).astype(np.int64)
@@ -73,6 +81,29 @@ class Part:
         """Add the points to the nodes before the first step."""
         sigma = self.points["sigma"]
         self._kernels.scatter(self._ranges, nodes, self._half, self._body, sigma, rows)
+
+    def push(self, box: RigidBox, velocity: Array, dt: float, rows: Array, nodes: Nodes) -> Array:
+        """Contact forces of a box to the nodes.
+
+        Returns:
+            Their sum ``(d,)`` [N].
+        """
+        body = self._body
+        return self._contact.push(
+            nodes, self._half, body.x, body.v, body.mass, box.lower, box.upper, velocity,
+            box.reach, box.stiffness, box.friction, dt, rows,
+        )  # fmt: skip
+
+    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> Array:
+        """Keep points out of a box.
+
+        Returns:
+            The force that this took ``(d,)`` [N].
+        """
+        body = self._body
+        return self._contact.hold_back(
+            body.x_next, body.v, body.mass, box.lower, box.upper, velocity, box.reach, dt
+        )
 
     def gather(self, rows: Array, averages: Array, nodes: Nodes, dt: float, flip: float) -> int:
         """Velocities, positions and F from the nodes, and J to them.

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: MIT
+"""Rigid boxes that push bodies, by a barrier (numba).
+
+The contact force of a point follows from its gap d by the barrier of M. Li et al. (Incremental
+potential contact, ACM Trans. Graph. 39, 2020), as Y. Zhao, C. Jiang, J. Choo use it:
+
+    f = -k r b'(d / r),    b(s) = -(s - 1)^2 ln s  for 0 < s < 1,
+
+zero from the reach r on and infinite at contact. Friction is Coulomb's. Explicit steps are too long
+for gaps that are nearly closed: a point that would come nearer than a hundredth of the reach is
+put there, with the velocity of the box; so no point ever enters a box.
+"""
+
+# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.explicit.stencils import BLOCK, OPTIONS, stencils, strides
+
+_njit = numba.njit(**OPTIONS)
+_inline = numba.njit(forceinline=True, **OPTIONS)
+
+# Share of the reach that is kept in any case
+_CLOSEST = 0.01
+
+
+class RigidBox:
+    """An axis-parallel rigid box with a prescribed motion.
+
+    Args:
+        lower: corner (d,) at the start [m].
+        upper: opposite corner (d,) [m]; infinite for boxes without end.
+        reach: gap from which on there is a contact force [m], such as half the points' distance.
+        velocity: (d,) [m/s], or a function of time [s].
+        friction: coefficient; infinite for no slip.
+        stiffness: of the barrier, in units of a point's mass over the square of the time step.
+
+    Attributes:
+        force: of the box on the bodies in the last step, (d,) [N].
+
+    Raises:
+        ValueError: for corners in the wrong order, a reach that is not positive, or negative
+            friction or stiffness.
+    """
+
+    def __init__(
+        self,
+        lower: npt.ArrayLike,
+        upper: npt.ArrayLike,
+        reach: float,
+        velocity: npt.ArrayLike | Callable[[float], npt.ArrayLike] = 0.0,
+        friction: float = 0.0,
+        stiffness: float = 0.1,
+    ) -> None:
+        """Check and copy."""
+        self.lower = np.array(lower, dtype=np.float64)
+        self.upper = np.array(upper, dtype=np.float64)
+        if self.lower.shape != self.upper.shape or not np.all(self.lower < self.upper):
+            raise ValueError(f"corners of a box in the wrong order: {self.lower}, {self.upper}")
+        if not (0 < reach < np.inf and friction >= 0 and stiffness > 0):
+            raise ValueError(
+                "a rigid box needs a positive reach and stiffness and no negative friction: "
+                f"{reach}, {stiffness}, {friction}"
+            )
+        self.reach, self.velocity = reach, velocity
+        self.friction, self.stiffness = friction, stiffness
+        self.force = np.zeros(len(self.lower))
+
+    def velocity_at(self, time: float) -> npt.NDArray[np.float64]:
+        """Velocity (d,) [m/s]."""
+        value = self.velocity(time) if callable(self.velocity) else self.velocity
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), self.force.shape).copy()
+
+    def move(self, way: npt.NDArray[np.float64]) -> None:
+        """Move the box by (d,) [m]."""
+        self.lower, self.upper = self.lower + way, self.upper + way
+
+
+class Contact(NamedTuple):
+    """Kernels of contact; see ``contact``."""
+
+    push: Callable[..., Any]
+    hold_back: Callable[..., Any]
+
+
+@functools.cache
+def contact(dim: int, kind: int) -> Contact:
+    """Compile contact of points with boxes."""
+    width, fill = WIDTH[kind], stencils(dim, kind)
+    depth = width if dim == 3 else 1
+
+    @_inline
+    def gap(x, p, lower, upper, normal):
+        """Distance from a box and the direction away from it; negative inside."""
+        outside, nearest, side = 0.0, -np.inf, 0
+        for k in range(dim):
+            below, above = lower[k] - x[p, k], x[p, k] - upper[k]
+            normal[k] = max(above, 0.0) - max(below, 0.0)
+            outside += normal[k] * normal[k]
+            if max(below, above) > nearest:
+                nearest, side = max(below, above), k
+        if outside > 0.0:
+            distance = np.sqrt(outside)
+            for k in range(dim):
+                normal[k] /= distance
+            return distance
+        for k in range(dim):
+            normal[k] = 0.0
+        normal[side] = -1.0 if lower[side] - x[p, side] > x[p, side] - upper[side] else 1.0
+        return nearest
+
+    @_njit
+    def push(nodes, half, x, v, mass, lower, upper, velocity, reach, stiffness, friction, dt, rows):
+        """Contact forces to the nodes, and their sum ``(d,)``."""
+        base = np.empty(BLOCK, np.int64)
+        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
+        far, near = strides(nodes)
+        normal, force, total = np.zeros(3), np.zeros(3), np.zeros(dim)
+        for p in range(len(x)):
+            distance = gap(x, p, lower, upper, normal)
+            if distance >= reach:
+                continue
+            s = max(distance / reach, _CLOSEST)
+            strength = stiffness * mass[p] * reach / (dt * dt)
+            f = strength * (s - 1.0) * (2.0 * np.log(s) + (s - 1.0) / s)
+            approach = 0.0
+            for k in range(dim):
+                approach += (v[p, k] - velocity[k]) * normal[k]
+            slip = 0.0
+            for k in range(dim):
+                force[k] = v[p, k] - velocity[k] - approach * normal[k]
+                slip += force[k] * force[k]
+            # to stop the slip in one step, or what friction allows
+            stop = mass[p] * np.sqrt(slip) / dt
+            share = min(1.0, friction * f / stop) if stop > 0.0 else 0.0
+            for k in range(dim):
+                force[k] = f * normal[k] - share * mass[p] * force[k] / dt
+                total[k] += force[k]
+            fill(x, p, 1, nodes, half, base, w, d)
+            for a in range(width):
+                for b in range(width):
+                    for c in range(depth):
+                        node = base[0] + a * far + b * near + c
+                        weight = w[0, 0, a] * w[0, 1, b] * w[0, 2, c]
+                        for k in range(dim):
+                            rows[node, 5 + k] += weight * force[k]
+        return total
+
+    @_njit
+    def hold_back(x_next, v, mass, lower, upper, velocity, reach, dt):
+        """Keep points out of a box at its new place; the force that this took, ``(d,)``."""
+        normal, total = np.zeros(3), np.zeros(dim)
+        for p in range(len(x_next)):
+            distance = gap(x_next, p, lower, upper, normal)
+            if distance >= _CLOSEST * reach:
+                continue
+            approach = 0.0
+            for k in range(dim):
+                x_next[p, k] += (_CLOSEST * reach - distance) * normal[k]
+                approach += (v[p, k] - velocity[k]) * normal[k]
+            if approach < 0.0:
+                for k in range(dim):
+                    v[p, k] -= approach * normal[k]
+                    total[k] -= mass[p] * approach * normal[k] / dt
+        return total
+
+    return Contact(push, hold_back)
