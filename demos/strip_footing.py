@@ -57,7 +57,7 @@ class Case:
     averages: str = "F-bar"
     cells: int = 20  # a width of the footing
     penetration: float = 0.004  # at the end, in widths
-    speed: float = 2e-4  # of the footing, in shares of the speed of pressure waves
+    speed: float = 1e-5  # of the footing, in shares of the speed of pressure waves
     damping: float = 0.002
 
     def label(self):
@@ -119,7 +119,7 @@ def run(case, records=200):
         f"{sim.dt:.4g} s"
     )
     loads, history = [], [(0.0, 0.0)]
-    sim.data = lambda time: loads.append(footing.force[1])
+    sim.data = lambda time: loads.append(-footing.force[1])
     try:
         for step in io.watch(sim.run(until, until / records), until, case.label()):
             load = np.mean(loads) / (WIDTH / 2) / STRENGTH
