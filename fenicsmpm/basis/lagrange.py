@@ -36,6 +36,7 @@ class LagrangeStencil:
         self._geometry = points.geometry
         self._version = -1
         self._tables: dict[tuple[int, int], npt.NDArray[np.float64]] = {}
+        self._gradients: dict[int, npt.NDArray[np.float64]] = {}
 
     @property
     def points(self) -> MaterialPoints:
@@ -109,6 +110,9 @@ class LagrangeStencil:
         return element.tabulate(derivatives, xi)[..., 0]
 
     def _tabulate(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
+        if derivatives == 1 and element.degree == 1 and self._geometry.is_simplex:
+            values = self.table(element, 0)
+            return np.concatenate([values, self._cell_gradients(element)[self._cells()]], axis=1)
         dim = self.points.mesh.geometry.dim
         reference = self._tabulate_reference(element, derivatives)
         n_points, n_nodes = reference.shape[1:]
@@ -122,6 +126,16 @@ class LagrangeStencil:
                 second = reference[_second_derivatives(dim)]
                 _push_forward_hessians(second, inverse, self._map_curvature(), table)
         return table
+
+    def _cell_gradients(self, element: Any) -> npt.NDArray[np.float64]:
+        """``(n_cells, d, n_nodes)`` gradients of linear functions in simplices."""
+        key = hash(element)
+        if key not in self._gradients:
+            dim = self._geometry.dim
+            reference = element.tabulate(1, np.zeros((1, dim)))[1:, 0, :, 0]
+            inverse = self._geometry.centre_inverse
+            self._gradients[key] = np.einsum("cki,ka->cia", inverse, reference)
+        return self._gradients[key]
 
     def _map_curvature(self) -> npt.NDArray[np.float64]:
         """``(n_points, d, d, d)`` second derivatives x_m,kl of the cell map; zero if affine."""
