@@ -218,3 +218,31 @@ def test_columns(name, component, share, tmp_path, capsys):
     assert sim.bodies[0]["J"].mean() == pytest.approx(1.0, abs=0.01)
     times = pyvista.PVDReader(tmp_path / f"{name}.pvd").time_values
     assert times == pytest.approx([0.02])
+
+
+@pytest.mark.parametrize("name", ["strip_footing", "landslide"])
+def test_explicit_demos(name, tmp_path, capsys):
+    import_module(name).main(["--short", "--output", str(tmp_path)])
+    assert "material points" in capsys.readouterr().out
+    assert (tmp_path / f"{name}.png").exists()
+
+
+def test_cooks_membrane_explicit(tmp_path):
+    """Sooner or later at rest: here only that averages remove the checkerboard."""
+    demo = import_module("cooks_membrane_explicit")
+    averaged, standard = demo.main(["--short", "--output", str(tmp_path)])
+    assert averaged["tip"] > 1.02 * standard["tip"]
+    assert averaged["roughness"] < 0.1 * standard["roughness"]
+
+
+@pytest.mark.slow
+def test_dam_break(tmp_path):
+    """Pressure at rest, front, volume; the front of computations with algorithm 1."""
+    demo = import_module("dam_break")
+    case = demo.Case("gimp", "algorithm-1", wall=12.0, beyond=2)
+    _, history, _, at_rest = demo.run(case, 0.4)
+    assert at_rest < 0.05
+    assert history[-1, 1] == pytest.approx(demo.FRONTS["gimp"][0.4], rel=0.04)
+    _, history, _, at_rest = demo.run(demo.Case(), 0.4)
+    assert at_rest < 0.02
+    assert np.abs(history[:, 3:] - 1).max() < 0.01 and np.abs(history[:, 2]).max() < 0.01

@@ -198,6 +198,79 @@ def test_materials_in_a_shear_flow(law, dim):
     assert body["state"] == pytest.approx(np.tile(state, (n, 1)), abs=1e-12)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("speed", [0.5, 50.0])
+def test_a_rigid_box_is_not_entered(speed, dim):
+    """Slowly the barrier holds, fast the last resort; forces are what momentum changes by."""
+    down = np.zeros(dim)
+    down[-1] = -speed
+    body, V, centre = block(dim, velocity=lambda x: np.tile(down, (len(x), 1)))
+    top = centre[-1] - 0.21
+    lower, upper = np.full(dim, -np.inf), np.full(dim, np.inf)
+    upper[-1] = top
+    floor = explicit.RigidBox(lower, upper, reach=0.02)
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, rigid=[floor], dt=2e-4 if speed > 1 else None)
+    before, impulse = momentum(body), np.zeros(dim)
+    for _ in range(20 if speed > 1 else 60):
+        try:
+            sim.step()
+        except explicit.UnstableError:  # crushed, but not pushed through
+            assert speed > 1
+            break
+        impulse += sim.dt * floor.force
+        assert body.x[:, -1].min() >= top
+    assert impulse[-1] > 0
+    assert momentum(body) == pytest.approx(before + impulse, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, np.inf])
+def test_friction_of_a_rigid_box(friction):
+    """A block that slides on a moving floor: without slip it goes with it."""
+    body, V, centre = block(2)
+    upper = np.array([np.inf, centre[1] - 0.2])
+    floor = explicit.RigidBox(
+        [-np.inf, -np.inf], upper, reach=0.02, velocity=lambda t: (0.3, 0.0), friction=friction
+    )
+    sim = explicit.ExplicitMPM(
+        V, {body: RUBBER}, rigid=[floor], gravity=(0.0, -2.0), flip=0.95, fbar=None
+    )
+    normal, tangential = 0.0, 0.0
+    for _ in range(150):
+        sim.step()
+        assert floor.force[1] >= 0 and body.x[:, 1].min() > upper[1]
+        assert abs(floor.force[0]) <= min(friction, 1e9) * floor.force[1] * (1 + 1e-9) + 1e-12
+        normal += floor.force[1]
+        tangential += floor.force[0]
+    assert normal > 0
+    v = body["v"][:, 0].mean()
+    if friction == 0:
+        assert abs(v) < 1e-10
+    elif friction < 1:
+        assert tangential == pytest.approx(friction * normal, rel=0.3)
+    else:
+        assert v == pytest.approx(0.3, abs=0.15)
+
+
+def test_wrong_boxes():
+    for arguments, message in (
+        (((1, 0), (0, 1), 0.1), "wrong order"),
+        (((0, 0), (1, 1), 0.0), "positive reach"),
+        (((0, 0), (1, 1), 0.1, 0.0, -1.0), "no negative friction"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            explicit.RigidBox(*arguments)
+
+
+def test_a_law_may_change_its_parameters_only():
+    body, V, _ = block(2, VonMises(100.0, 0.3, sigma_y=2.0))
+    sim = explicit.ExplicitMPM(V, {body: VonMises(100.0, 0.3, sigma_y=2.0)})
+    sim.laws[body] = VonMises(100.0, 0.3, sigma_y=1.0)
+    sim.step()
+    sim.laws[body] = Hencky(100.0, 0.3)
+    with pytest.raises(ValueError, match="may change its parameters only"):
+        sim.step()
+
+
 def test_averages_remove_a_checkerboard():
     rng = np.random.default_rng(1)
     body, V, _ = block(2, NeoHookean(E=1.0, nu=0.499).pointwise(), n=20, spacing=0.025)
