@@ -45,6 +45,7 @@ class RigidBox:
         stiffness: of the barrier, in units of a point's mass over the square of the time step.
 
     Attributes:
+        moved: way of the box so far (d,) [m].
         force: of the box on the bodies in the last step, (d,) [N].
 
     Raises:
@@ -62,10 +63,10 @@ class RigidBox:
         stiffness: float = 0.1,
     ) -> None:
         """Check and copy."""
-        self.lower = np.array(lower, dtype=np.float64)
-        self.upper = np.array(upper, dtype=np.float64)
-        if self.lower.shape != self.upper.shape or not np.all(self.lower < self.upper):
-            raise ValueError(f"corners of a box in the wrong order: {self.lower}, {self.upper}")
+        self._lower = np.array(lower, dtype=np.float64)
+        self._upper = np.array(upper, dtype=np.float64)
+        if self._lower.shape != self._upper.shape or not np.all(self._lower < self._upper):
+            raise ValueError(f"corners of a box in the wrong order: {self._lower}, {self._upper}")
         if not (0 < reach < np.inf and friction >= 0 and stiffness > 0):
             raise ValueError(
                 "a rigid box needs a positive reach and stiffness and no negative friction: "
@@ -73,16 +74,23 @@ class RigidBox:
             )
         self.reach, self.velocity = reach, velocity
         self.friction, self.stiffness = friction, stiffness
-        self.force = np.zeros(len(self.lower))
+        self.moved: npt.NDArray[np.float64] = np.zeros(len(self._lower))
+        self.force = np.zeros(len(self._lower))
+
+    @property
+    def lower(self) -> npt.NDArray[np.float64]:
+        """Corner (d,) now [m]."""
+        return self._lower + self.moved
+
+    @property
+    def upper(self) -> npt.NDArray[np.float64]:
+        """Opposite corner (d,) now [m]."""
+        return self._upper + self.moved
 
     def velocity_at(self, time: float) -> npt.NDArray[np.float64]:
         """Velocity (d,) [m/s]."""
         value = self.velocity(time) if callable(self.velocity) else self.velocity
         return np.broadcast_to(np.asarray(value, dtype=np.float64), self.force.shape).copy()
-
-    def move(self, way: npt.NDArray[np.float64]) -> None:
-        """Move the box by (d,) [m]."""
-        self.lower, self.upper = self.lower + way, self.upper + way
 
 
 class Contact(NamedTuple):

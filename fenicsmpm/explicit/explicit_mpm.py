@@ -26,6 +26,7 @@ from fenicsmpm.explicit.parts import Load, Part
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
 
@@ -79,6 +80,7 @@ class ExplicitMPM:
         dt: length of the last step [s], before the first of that.
         laws: law of each body; may be replaced by one of the same kind with other parameters.
         reaction: force on the grid by Dirichlet conditions in the last step, (3,) [N].
+        seconds: time spent in each stage so far [s].
 
     Raises:
         ValueError: for a mesh that is no lattice, another space, points without their fields, and
@@ -132,6 +134,7 @@ class ExplicitMPM:
         self.flip, self.damping, self.data = flip, damping, data
         self.time, self.number = 0.0, 0
         self.reaction = np.zeros(3)
+        self.seconds = Stopwatch()
         threads, size = numba.get_num_threads(), self._nodes.size
         self._rows, self._averages = grid.empty_rows(threads, size), np.zeros((threads, size))
         self._cfl, self._given_dt, self._unsorted, self._warned = cfl, dt, 0, False
@@ -186,36 +189,62 @@ class ExplicitMPM:
     def _advance(self, steps: int, dt: float) -> None:
         """Do some steps; the points are up to date after the last."""
         self.dt = dt
-        time, number = self.time, self.number
+        before = self.time, self.number, [box.moved for box in self.rigid]
+        clock = self.seconds
         try:
-            grid.clear(self._rows)
-            for part in self._parts:
-                part.begin(len(self._rows), self.laws[part.points])
-                part.scatter(self._rows, self._nodes)
-            for load in self._loads:
-                load.begin()
-            self._fixed = grid.constraints(self._nodes, self.V, self.bcs)
+            with clock("begin"):
+                grid.clear(self._rows)
+                for part in self._parts:
+                    part.begin(len(self._rows), self.laws[part.points])
+                    part.scatter(self._rows, self._nodes)
+                for load in self._loads:
+                    load.begin()
+                self._fixed = grid.constraints(self._nodes, self.V, self.bcs)
             for k in range(steps):
                 self._one_step(again=k < steps - 1)
                 self.time += self.dt
                 self.number += 1
         except BaseException:
-            self.time, self.number = time, number
+            self.time, self.number, ways = before
+            for box, way in zip(self.rigid, ways, strict=True):
+                box.moved = way
             raise
-        self._unsorted += steps
-        sort = self._unsorted >= STEPS_OF_A_BLOCK
-        for part in self._parts:
-            part.settle(sort)
-        for load in self._loads:
-            load.settle()
-        if sort:
-            self._unsorted = 0
+        with clock("settle"):
+            self._unsorted += steps
+            sort = self._unsorted >= STEPS_OF_A_BLOCK
+            for part in self._parts:
+                part.settle(sort)
+            for load in self._loads:
+                load.settle()
+            if sort:
+                self._unsorted = 0
 
     def _one_step(self, again: bool) -> None:
-        rows, averages, nodes, dt = self._rows, self._averages, self._nodes, self.dt
+        rows, averages, nodes, clock = self._rows, self._averages, self._nodes, self.seconds
         if self.data is not None:
             self.data(self.time)
             self._fixed = grid.constraints(nodes, self.V, self.bcs)
+        with clock("nodes"):
+            self._move_nodes()
+            averages[:] = 0.0
+        with clock("gather"):
+            bad = [
+                part.gather(rows[0], averages, nodes, self.dt, self.flip) for part in self._parts
+            ]
+            self._hold_back()
+            self._raise_if(bad)
+        with clock("nodes"):
+            grid.sum_averages(averages)
+            self._add_ranks(averages[0])
+            grid.average_nodes(rows[0], averages[0])
+            grid.clear(rows)
+        with clock("finish"):
+            for part in self._parts:
+                part.finish(averages[0], nodes, again, rows)
+
+    def _move_nodes(self) -> None:
+        """From the points' mass, momentum and forces to velocities of the nodes."""
+        rows, nodes, dt = self._rows, self._nodes, self.dt
         for load in self._loads:
             load.add_forces(rows[0], nodes)
         for box in self.rigid:
@@ -229,21 +258,15 @@ class ExplicitMPM:
         grid.constrain(rows[0], *self._fixed)
         for load in self._loads:
             load.follow(rows[0], nodes, dt)
-        averages[:] = 0.0
-        bad = [part.gather(rows[0], averages, nodes, dt, self.flip) for part in self._parts]
+
+    def _hold_back(self) -> None:
+        """Move rigid boxes, and keep points out of them."""
         for box in self.rigid:
             velocity = box.velocity_at(self.time)
-            box.move(dt * velocity)
-            forces = [part.hold_back(box, velocity, dt) for part in self._parts]
+            box.moved = box.moved + self.dt * velocity
+            forces = [part.hold_back(box, velocity, self.dt) for part in self._parts]
             box.force += np.sum(forces, axis=0)
             self._add_ranks(box.force)
-        self._raise_if(bad)
-        grid.sum_averages(averages)
-        self._add_ranks(averages[0])
-        grid.average_nodes(rows[0], averages[0])
-        grid.clear(rows)
-        for part in self._parts:
-            part.finish(averages[0], nodes, again, rows)
 
     def _add_ranks(self, array: npt.NDArray[np.float64]) -> None:
         """Sum an array over all ranks. Each has all nodes, of which there are fewer than points."""
@@ -273,11 +296,18 @@ class ExplicitMPM:
     @property
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points."""
-        return {"unsorted": float(self._unsorted)}
+        ways = {
+            f"box {i} moved {k}": float(way)
+            for i, box in enumerate(self.rigid)
+            for k, way in enumerate(box.moved)
+        }
+        return {"unsorted": float(self._unsorted), **ways}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         self._unsorted = int(values["unsorted"])
+        for i, box in enumerate(self.rigid):
+            box.moved = np.array([values[f"box {i} moved {k}"] for k in range(len(box.moved))])
 
     # --- time step -----------------------------------------------------------------------------
 

@@ -27,7 +27,16 @@ import numba
 import numpy as np
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.simd import add_scaled, item, load, row, scaled, store, zeros
+from fenicsmpm.explicit.simd import (
+    LANES,
+    add_at,
+    add_scaled,
+    load,
+    number_at,
+    scaled,
+    store,
+    zeros,
+)
 from fenicsmpm.explicit.stencils import BLOCK, OPTIONS, stencils, strides
 from fenicsmpm.materials.tensors import cube_root
 
@@ -96,25 +105,33 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
         )
 
     @_inline
-    def add_to_nodes(i, base, far, near, w, d, m, v, V, p, s, q, rows):
-        """Mass, momentum, volume and internal force to the nodes (F-bar, eqs. 7, 8, 10).
+    def pack(i, m, v, V, p, s, q, lines):
+        """What point p, the i-th of its block, gives: per value and slopes of a grid function.
 
-        Point p is the i-th of its block; s[q] is its stress.
+        Mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10); s[q] is its stress. That
+        the rows are in memory before they are loaded is faster than to build them in registers.
         """
-        vz = v[p, 2] if dim == 3 else 0.0
-        value = row(m, m * v[p, 0], m * v[p, 1], m * vz, V, 0.0, 0.0, 0.0)
-        by_x = row(0.0, 0.0, 0.0, 0.0, 0.0, -V * s[q, 0, 0], -V * s[q, 1, 0], -V * s[q, 2, 0])
-        by_y = row(0.0, 0.0, 0.0, 0.0, 0.0, -V * s[q, 0, 1], -V * s[q, 1, 1], -V * s[q, 2, 1])
-        by_z = row(0.0, 0.0, 0.0, 0.0, 0.0, -V * s[q, 0, 2], -V * s[q, 1, 2], -V * s[q, 2, 2])
+        lines[4 * i, 0], lines[4 * i, 4] = m, V
+        for k in range(dim):
+            lines[4 * i, 1 + k] = m * v[p, k]
+            for j in range(dim):
+                lines[4 * i + 1 + k, 5 + j] = -V * s[q, j, k]
+
+    @_inline
+    def add_to_nodes(i, base, far, near, w, d, lines, rows):
+        """Add the i-th point of a block to its nodes."""
+        value, by_x, by_y = load(lines, 4 * i), load(lines, 4 * i + 1), load(lines, 4 * i + 2)
+        by_z = load(lines, 4 * i + 3)
         for a in range(width):
             value_a = add_scaled(scaled(w[i, 0, a], value), d[i, 0, a], by_x)
             y_a, z_a = scaled(w[i, 0, a], by_y), scaled(w[i, 0, a], by_z)
             for b in range(width):
-                value_b = add_scaled(scaled(w[i, 1, b], value_a), d[i, 1, b], y_a)
                 node = base[i] + a * far + b * near
                 if dim == 2:
-                    store(rows, node, add_scaled(value_b, 1.0, load(rows, node)))
+                    total = add_scaled(load(rows, node), w[i, 1, b], value_a)
+                    store(rows, node, add_scaled(total, d[i, 1, b], y_a))
                 else:
+                    value_b = add_scaled(scaled(w[i, 1, b], value_a), d[i, 1, b], y_a)
                     z_b = scaled(w[i, 1, b], z_a)
                     for c in range(depth):
                         total = add_scaled(load(rows, node + c), w[i, 2, c], value_b)
@@ -126,13 +143,16 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
         base = np.empty(BLOCK, np.int64)
         w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
         far, near = strides(nodes)
+        lines = np.zeros((4 * BLOCK, LANES))
         for start in range(first, last, BLOCK):
             n = min(BLOCK, last - start)
             fill(body.x, start, n, nodes, half, base, w, d)
             for i in range(n):
                 p = start + i
                 V = determinant(body.F, p) * body.V_0[p]
-                add_to_nodes(i, base, far, near, w, d, body.mass[p], body.v, V, p, sigma, p, rows)
+                pack(i, body.mass[p], body.v, V, p, sigma, p, lines)
+            for i in range(n):
+                add_to_nodes(i, base, far, near, w, d, lines, rows)
 
     @_njit
     def gather(first, last, nodes, half, body, rows, dt, flip, average, r, averages):
@@ -145,7 +165,7 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
         J_bar, V_0, L = body.J_bar, body.V_0, body.L
         base, share = np.empty(BLOCK, np.int64), np.empty(BLOCK)
         w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
-        f = np.empty((BLOCK, 3, 3))
+        f, lines = np.empty((BLOCK, 3, 3)), np.zeros((4 * BLOCK, LANES))
         far, near = strides(nodes)
         bad = np.int64(-1)
         for start in range(first, last, BLOCK):
@@ -174,27 +194,24 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
                     by_y = add_scaled(by_y, w[i, 0, a], y_a)
                     if dim == 3:
                         by_z = add_scaled(by_z, w[i, 0, a], z_a)
-                # eqs. 11-13 and 17
-                x_next[p, 0] = x[p, 0] + dt * item(value, 1)
-                x_next[p, 1] = x[p, 1] + dt * item(value, 2)
-                v[p, 0] = flip * (v[p, 0] + item(value, 5)) + (1.0 - flip) * item(value, 1)
-                v[p, 1] = flip * (v[p, 1] + item(value, 6)) + (1.0 - flip) * item(value, 2)
+                store(lines, 4 * i, value)
+                store(lines, 4 * i + 1, by_x)
+                store(lines, 4 * i + 2, by_y)
                 if dim == 3:
-                    x_next[p, 2] = x[p, 2] + dt * item(value, 3)
-                    v[p, 2] = flip * (v[p, 2] + item(value, 7)) + (1.0 - flip) * item(value, 3)
-                f[i, 0, 0], f[i, 0, 1], f[i, 0, 2] = item(by_x, 1), item(by_y, 1), item(by_z, 1)
-                f[i, 1, 0], f[i, 1, 1], f[i, 1, 2] = item(by_x, 2), item(by_y, 2), item(by_z, 2)
-                f[i, 2, 0], f[i, 2, 1], f[i, 2, 2] = item(by_x, 3), item(by_y, 3), item(by_z, 3)
+                    store(lines, 4 * i + 3, by_z)
             for i in range(n):
                 p = start + i
-                if is_fluid:
-                    for j in range(dim):
-                        for k in range(dim):
-                            L[p, j, k] = f[i, j, k]
-                # eq. 16
                 for j in range(dim):
+                    # eqs. 11-13 and 17
+                    x_next[p, j] = x[p, j] + dt * lines[4 * i, 1 + j]
+                    in_flip = v[p, j] + lines[4 * i, 5 + j]
+                    v[p, j] = flip * in_flip + (1.0 - flip) * lines[4 * i, 1 + j]
+                    # eq. 16
                     for k in range(dim):
-                        f[i, j, k] *= dt
+                        rate = lines[4 * i + 1 + k, 1 + j]
+                        f[i, j, k] = dt * rate
+                        if is_fluid:
+                            L[p, j, k] = rate
                     f[i, j, j] += 1.0
                 # eq. 14
                 if dim == 2:
@@ -224,7 +241,7 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
                             share_b = share[i] * w[i, 0, a] * w[i, 1, b]
                             node = base[i] + a * far + b * near
                             for c in range(depth):
-                                averages[node + c] += share_b * w[i, 2, c]
+                                add_at(averages, node + c, share_b * w[i, 2, c])
         return bad
 
     @_inline
@@ -241,6 +258,7 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
         F_bar, rate = np.zeros((BLOCK, 3, 3)), np.zeros((3, 3))
         F_bar[:, 2, 2] = 1.0
         stress, volume = np.zeros((BLOCK, 3, 3)), np.empty(BLOCK)
+        lines = np.zeros((4 * BLOCK, LANES))
         for start in range(first, last, BLOCK):
             n = min(BLOCK, last - start)
             if average:
@@ -252,7 +270,7 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
                             node = base[i] + a * far + b * near
                             line = 0.0
                             for c in range(depth):
-                                line += w[i, 2, c] * averages[node + c]
+                                line += w[i, 2, c] * number_at(averages, node + c)
                             mean += w[i, 0, a] * w[i, 1, b] * line
                     J_bar[start + i] = mean
             for i in range(n):
@@ -284,12 +302,11 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
                         for k in range(dim):
                             rate[j, k] = L[p, j, k]
                 update(F_bar[i], rate, body.parameters, body.state[p], stress[i])
+                pack(i, body.mass[p], body.v, volume[i], p, stress, i, lines)
             if again:
                 fill(body.x_next, start, n, nodes, half, base, w, d)
                 for i in range(n):
-                    p = start + i
-                    m, V = body.mass[p], volume[i]
-                    add_to_nodes(i, base, far, near, w, d, m, body.v, V, p, stress, i, rows)
+                    add_to_nodes(i, base, far, near, w, d, lines, rows)
             else:
                 for i in range(n):
                     for j in range(3):

@@ -38,19 +38,6 @@ class _RowModel(models.PrimitiveModel):
 
 
 @intrinsic
-def row(_typing, a, b, c, d, e, f, g, h):
-    """A row of eight numbers."""
-
-    def generate(_context, builder, _signature, arguments):
-        vector = ir.Constant(_VECTOR, ir.Undefined)
-        for i, argument in enumerate(arguments):
-            vector = builder.insert_element(vector, argument, ir.Constant(_INT, i))
-        return vector
-
-    return _ROW(*[types.float64] * LANES), generate
-
-
-@intrinsic
 def zeros(_typing):
     """A row of zeros."""
 
@@ -58,19 +45,6 @@ def zeros(_typing):
         return ir.Constant(_VECTOR, None)
 
     return _ROW(), generate
-
-
-@intrinsic
-def item(_typing, vector, i):
-    """Number i (a literal) of a row."""
-    if not isinstance(i, types.IntegerLiteral):
-        return None
-    position = ir.Constant(_INT, i.literal_value)
-
-    def generate(_context, builder, _signature, arguments):
-        return builder.extract_element(arguments[0], position)
-
-    return types.float64(vector, i), generate
 
 
 @intrinsic
@@ -114,6 +88,30 @@ def store(_typing, rows, i, vector):
         return context.get_dummy_value()
 
     return types.void(rows, types.intp, _ROW), generate
+
+
+@intrinsic
+def number_at(_typing, numbers, i):
+    """Element i of a C-contiguous array ``(n,)``; i is not negative, which saves looking."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[0])(context, builder, value=arguments[0])
+        return builder.load(builder.gep(array.data, [arguments[1]]))
+
+    return types.float64(numbers, types.intp), generate
+
+
+@intrinsic
+def add_at(_typing, numbers, i, number):
+    """Add to element i of a C-contiguous array ``(n,)``; i is not negative."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[0])(context, builder, value=arguments[0])
+        address = builder.gep(array.data, [arguments[1]])
+        builder.store(builder.fadd(builder.load(address), arguments[2]), address)
+        return context.get_dummy_value()
+
+    return types.void(numbers, types.intp, types.float64), generate
 
 
 def _splat(builder, number):
