@@ -216,7 +216,7 @@ def test_columns(name, component, share, tmp_path, capsys):
     deviations = bending_beam.compare(case, history)
     assert deviations[component] < share
     assert sim.bodies[0]["J"].mean() == pytest.approx(1.0, abs=0.01)
-    times = pyvista.PVDReader(tmp_path / f"{name}.pvd").time_values
+    times = pyvista.PVDReader(tmp_path / f"{case.files()}.pvd").time_values
     assert times == pytest.approx([0.02])
 
 
