@@ -42,7 +42,7 @@ from fenicsmpm.materials.tensors import cube_root
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
-_parallel = numba.njit(cache=True, parallel=True)
+_parallel = numba.njit(parallel=True)
 
 
 class Body(NamedTuple):

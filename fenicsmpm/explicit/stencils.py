@@ -19,7 +19,8 @@ from fenicsmpm.basis.lines import CUBIC, LINEAR, QUADRATIC, WIDTH, cubic, gimp, 
 
 BLOCK = 8
 
-OPTIONS: dict[str, Any] = {"cache": True, "fastmath": {"contract"}, "error_model": "numpy"}
+# Not cached: numba would not find again what is compiled for functions that were passed to it
+OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 # calls in the loops over points would cost more than what they do
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
