@@ -237,3 +237,15 @@ def test_progress_goes_through_all(capsys):
     assert list(io.progress(range(3), "steps")) == [0, 1, 2]
     assert list(io.progress(iter("ab"), "steps", total=2)) == ["a", "b"]
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.mpi
+def test_no_points_and_fields_without_values():
+    body = fill(unit_mesh("triangle"), 1)
+    body.add_field("state", (0,))
+    body.add_field("v", (2,), 1.0)
+    for points in (body, body.select([])):
+        cloud = io.gather_points(points)
+        if comm.rank == 0:
+            assert "state" not in cloud.point_data and cloud.n_points == points.size_global
+            assert points.size_global == 0 or cloud.point_data["v"].shape[1] == 3

@@ -7,6 +7,7 @@ saves it for ParaView, ``picture`` draws it. A dataset does not depend on the nu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,7 +48,8 @@ def gather_points(points: MaterialPoints) -> pyvista.PolyData | None:
     order = np.argsort(data["id"])
     result = pyvista.PolyData(_in_space(data.pop("x")[order]))
     for name, values in data.items():
-        result.point_data[name] = _in_space(values[order])
+        if math.prod(values.shape[1:]) > 0:  # laws without state have a field without values
+            result.point_data[name] = _in_space(values[order])
     return result
 
 
@@ -170,4 +172,4 @@ def _in_space(values: npt.NDArray) -> npt.NDArray:
     for axis in range(1, values.ndim):
         if values.shape[axis] == 2:
             values = np.insert(values, 2, 0.0, axis=axis)
-    return values if values.ndim == 1 else values.reshape(len(values), -1)
+    return values if values.ndim == 1 else values.reshape(len(values), math.prod(values.shape[1:]))
