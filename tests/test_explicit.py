@@ -11,7 +11,15 @@ from dolfinx import fem, mesh
 
 from fenicsmpm import explicit, io, points
 from fenicsmpm.diagnostics import momentum, roughness
-from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid, VonMises, stress
+from fenicsmpm.materials import (
+    Hencky,
+    Law,
+    NeoHookean,
+    NewtonianFluid,
+    VonMises,
+    compiled,
+    stress,
+)
 
 COMM = MPI.COMM_WORLD
 BASES = ["linear", "gimp", "quadratic", "cubic"]
@@ -174,8 +182,22 @@ def test_reaction_of_a_support():
     assert body["u"][:, 1].min() == pytest.approx(-2.0 * 0.5**2 / (2 * modulus), rel=0.1)
 
 
+@compiled
+def viscous(F, L, parameters, state, sigma):
+    """A law of one's own, which resists the rate only."""
+    for i in range(3):
+        for j in range(3):
+            sigma[i, j] = parameters[0] * (L[i, j] + L[j, i])
+
+
 @pytest.mark.parametrize(
-    "law", [Hencky(100.0, 0.3), VonMises(100.0, 0.3, sigma_y=2.0), NewtonianFluid(100.0, 0.1)]
+    "law",
+    [
+        Law(viscous, [0.1], 100.0),
+        Hencky(100.0, 0.3),
+        VonMises(100.0, 0.3, sigma_y=2.0),
+        NewtonianFluid(100.0, 0.1),
+    ],
 )
 @pytest.mark.parametrize("dim", [2, 3])
 def test_materials_in_a_shear_flow(law, dim):

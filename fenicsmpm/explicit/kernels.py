@@ -57,7 +57,7 @@ class Body(NamedTuple):
         mass: ``(n,)``.
         V_0: initial volumes ``(n,)``.
         state: what the material remembers ``(n, n_state)``.
-        L: velocity gradients of fluids ``(n, d, d)``, of no points for solids.
+        L: velocity gradients ``(n, d, d)``, of no points if the material does not need them.
         parameters: of the material.
     """
 
@@ -82,13 +82,14 @@ class Kernels(NamedTuple):
 
 
 @functools.cache
-def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
+def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> Kernels:
     """Compile the transfers.
 
     Args:
         dim: 2 or 3.
         kind: of grid functions, see ``basis.lines``.
         update: numba function of the material, ``(F, L, parameters, state, sigma)``.
+        rates: the material needs the velocity gradient.
         is_fluid: of the deformation, only J is kept.
     """
     width, fill = WIDTH[kind], stencils(dim, kind)
@@ -210,7 +211,7 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
                     for k in range(dim):
                         rate = lines[4 * i + 1 + k, 1 + j]
                         f[i, j, k] = dt * rate
-                        if is_fluid:
+                        if rates:
                             L[p, j, k] = rate
                     f[i, j, j] += 1.0
                 # eq. 14
@@ -297,7 +298,7 @@ def transfers(dim: int, kind: int, update: Any, is_fluid: bool) -> Kernels:
                 volume[i] = J * body.V_0[p]
             for i in range(n):
                 p = start + i
-                if is_fluid:
+                if rates:
                     for j in range(dim):
                         for k in range(dim):
                             rate[j, k] = L[p, j, k]

@@ -47,8 +47,10 @@ class Part:
             )
         dim = points.mesh.geometry.dim
         self.points, self._update, self._fbar = points, law.update, fbar
-        self._dim, self._is_fluid = dim, isinstance(law, NewtonianFluid)
-        self._kernels = transfers(dim, kind, law.update, self._is_fluid)
+        self._dim, self._rates = dim, law.needs_rate
+        self._kernels = transfers(
+            dim, kind, law.update, law.needs_rate, isinstance(law, NewtonianFluid)
+        )
         self._contact = contact(dim, kind)
         self._half = half_size(points, kind)
 
@@ -71,7 +73,7 @@ class Part:
             mass=points["mass"],
             V_0=points["V_0"],
             state=points["state"].copy(),
-            L=np.zeros((n if self._is_fluid else 0, d, d)),
+            L=np.zeros((n if self._rates else 0, d, d)),
             parameters=np.asarray(law.parameters),
         )
         self._sigma = np.empty((0, 3, 3))

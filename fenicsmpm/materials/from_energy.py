@@ -51,7 +51,8 @@ class EnergyLaw(Law):
         """Keep the kernels: the law calls them by address."""
         self.kernels = kernels
         addresses = [float(kernel.address) for kernel in kernels]
-        super().__init__(_update, np.array([*addresses, *parameters]), modulus, energy=_energy)
+        values = np.array([*addresses, *parameters])
+        super().__init__(_update, values, modulus, energy=_energy, needs_rate=False)
 
     def __repr__(self) -> str:
         """Parameters of the energy."""

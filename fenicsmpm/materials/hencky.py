@@ -161,7 +161,12 @@ class Hencky(Law):
         self.mu, self.kappa = elastic_moduli(E, nu)
         modulus = p_wave_modulus(self.mu, self.kappa)
         super().__init__(
-            _update, np.array([self.mu, self.kappa]), modulus, energy=_energy, tangent=_tangent
+            _update,
+            np.array([self.mu, self.kappa]),
+            modulus,
+            energy=_energy,
+            tangent=_tangent,
+            needs_rate=False,
         )
 
     def __repr__(self) -> str:

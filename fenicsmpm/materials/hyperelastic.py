@@ -145,7 +145,11 @@ class NeoHookean:
         mu, kappa = elastic_moduli(self.E, self.nu)
         number = list(VOLUMETRIC_LAWS).index(self.volumetric)
         return Law(
-            _update, np.array([mu, kappa, number]), p_wave_modulus(mu, kappa), energy=_energy
+            _update,
+            np.array([mu, kappa, number]),
+            p_wave_modulus(mu, kappa),
+            energy=_energy,
+            needs_rate=False,
         )
 
     def __repr__(self) -> str:

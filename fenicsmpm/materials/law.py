@@ -42,6 +42,8 @@ class Law:
             ``dPdF[i, J, k, L] = dP[i, J] / dF[k, L]`` [Pa] of the first Piola-Kirchhoff stress
             after the step; state is that before the step and stays as it is.
 
+        needs_rate: whether ``update`` reads L; if not, loops save the trouble and give zeros.
+
     Raises:
         TypeError: for a function that numba has not compiled.
         ValueError: for parameters, initial values or a modulus that are no finite numbers.
@@ -53,6 +55,7 @@ class Law:
     state: Mapping[str, tuple[tuple[int, ...], npt.ArrayLike]] = field(default_factory=dict)
     energy: Callable[..., float] | None = None
     tangent: Callable[..., None] | None = None
+    needs_rate: bool = True
 
     def __post_init__(self) -> None:
         """Check, and lay out the state."""

@@ -221,6 +221,7 @@ class VonMises(Law):
             {"C_p_inverse": ((3, 3), np.eye(3)), "eps_p": ((), 0.0), "dissipation": ((), 0.0)},
             _energy,
             _tangent,
+            needs_rate=False,
         )
 
     def __repr__(self) -> str:
