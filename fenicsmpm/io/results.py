@@ -48,7 +48,7 @@ def gather_points(points: MaterialPoints) -> pyvista.PolyData | None:
     order = np.argsort(data["id"])
     result = pyvista.PolyData(_in_space(data.pop("x")[order]))
     for name, values in data.items():
-        if math.prod(values.shape[1:]) > 0:  # laws without state have a field without values
+        if values.size > 0:  # pyvista takes no empty arrays; laws without state have such a field
             result.point_data[name] = _in_space(values[order])
     return result
 
