@@ -36,23 +36,37 @@ def linear(t):
 
 
 @numba.njit(cache=True)
+def quadratic_inside(s):
+    """Quadratic splines of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
+
+    Args:
+        s: position relative to the nearest node.
+    """
+    a, b = 0.5 - s, 0.5 + s
+    return (0.5 * a * a, 0.75 - s * s, 0.5 * b * b), (-a, -2.0 * s, b)
+
+
+@numba.njit(cache=True)
 def quadratic(s, lower, upper):
-    """Quadratic splines of the nodes -1, 0, 1 at -1/2 <= s <= 1/2.
+    """As ``quadratic_inside`` at any place.
 
     Args:
         s: position relative to the nearest node.
         lower: whether node -1 is beyond a wall.
         upper: whether node 1 is.
     """
-    a, b = 0.5 - s, 0.5 + s
-    values = fold3((0.5 * a * a, 0.75 - s * s, 0.5 * b * b), lower, upper)
-    slopes = fold3((-a, -2.0 * s, b), lower, upper)
-    return values, slopes, fold3((1.0, -2.0, 1.0), lower, upper)
+    values, slopes = quadratic_inside(s)
+    curvatures = (1.0, -2.0, 1.0)
+    return (
+        fold3(values, lower, upper),
+        fold3(slopes, lower, upper),
+        fold3(curvatures, lower, upper),
+    )
 
 
 @numba.njit(cache=True)
-def cubic(t, lower, upper):
-    """Cubic splines of the nodes -1, 0, 1, 2 at 0 <= t <= 1; ``lower`` if -1 is beyond a wall."""
+def cubic_inside(t):
+    """Cubic splines of the nodes -1, 0, 1, 2 at 0 <= t <= 1, away from walls."""
     r = 1.0 - t
     values = (
         r * r * r / 6.0,
@@ -61,6 +75,14 @@ def cubic(t, lower, upper):
         t * t * t / 6.0,
     )
     slopes = (-0.5 * r * r, t * (1.5 * t - 2.0), -r * (1.5 * r - 2.0), 0.5 * t * t)
+    return values, slopes
+
+
+@numba.njit(cache=True)
+def cubic(t, lower, upper):
+    """As ``cubic_inside`` at any place; ``lower`` if node -1 is beyond a wall, ``upper`` if 2."""
+    values, slopes = cubic_inside(t)
+    r = 1.0 - t
     curvatures = (r, 3.0 * t - 2.0, 3.0 * r - 2.0, t)
     return (
         fold4(values, lower, upper),
@@ -70,11 +92,24 @@ def cubic(t, lower, upper):
 
 
 @numba.njit(cache=True)
-def gimp(s, half, lower, upper):
-    """UGIMP functions of the nodes -1, 0, 1 at -1/2 <= s <= 1/2.
+def gimp_inside(s, half):
+    """UGIMP functions of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
 
     S. G. Bardenhagen, E. M. Kober, CMES 5 (2004); the domain of a point keeps its initial size.
-    The second derivative is the one between the kinks of the first.
+
+    Args:
+        s: position relative to the nearest node.
+        half: half of the point's size, above 0 and at most 1/2.
+    """
+    below, dbelow = _ramp(-s, half)
+    above, dabove = _ramp(s, half)
+    # the two ramps take from the node what they give to its neighbours
+    return (below, 1.0 - below - above, above), (-dbelow, dbelow - dabove, dabove)
+
+
+@numba.njit(cache=True)
+def gimp(s, half, lower, upper):
+    """As ``gimp_inside`` at any place; the second derivative is the one between kinks of the first.
 
     Args:
         s: position relative to the nearest node.
@@ -82,23 +117,20 @@ def gimp(s, half, lower, upper):
         lower: whether node -1 is beyond a wall.
         upper: whether node 1 is.
     """
-    below, dbelow, ddbelow = _ramp(-s, half)
-    above, dabove, ddabove = _ramp(s, half)
-    # the two ramps take from the node what they give to its neighbours
-    values = fold3((below, 1.0 - below - above, above), lower, upper)
-    slopes = fold3((-dbelow, dbelow - dabove, dabove), lower, upper)
-    return values, slopes, fold3((ddbelow, -ddbelow - ddabove, ddabove), lower, upper)
+    values, slopes = gimp_inside(s, half)
+    c = 0.5 / half if abs(s) < half else 0.0
+    return (
+        fold3(values, lower, upper),
+        fold3(slopes, lower, upper),
+        fold3((c, -2.0 * c, c), lower, upper),
+    )
 
 
 @numba.njit(cache=True)
 def _ramp(s, half):
-    """Average of max(s, 0) over (s - half, s + half), with its derivatives."""
-    if s >= half:
-        return s, 1.0, 0.0
-    if s <= -half:
-        return 0.0, 0.0, 0.0
-    reach = s + half
-    return reach * reach / (4.0 * half), reach / (2.0 * half), 0.5 / half
+    """Average of max(s, 0) over (s - half, s + half), with its derivative."""
+    reach = min(max(s, -half), half) + half
+    return reach * reach / (4.0 * half) + max(s - half, 0.0), reach / (2.0 * half)
 
 
 @numba.njit(cache=True)

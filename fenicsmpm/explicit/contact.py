@@ -24,7 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.stencils import BLOCK, OPTIONS, stencils, strides
+from fenicsmpm.explicit.carriers import to_nodes
+from fenicsmpm.explicit.stencils import OPTIONS, stencils
+from fenicsmpm.lanes import LANES
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
@@ -103,19 +105,19 @@ class Contact(NamedTuple):
 @functools.cache
 def contact(dim: int, kind: int) -> Contact:
     """Compile contact of points with boxes."""
-    width, fill = WIDTH[kind], stencils(dim, kind)
-    depth = width if dim == 3 else 1
+    width, fill, add = WIDTH[kind], stencils(dim, kind), to_nodes(dim, kind)
 
     @_inline
-    def gap(x, p, lower, upper, normal):
+    def gap(x, block, i, lower, upper, normal):
         """Distance from a box and the direction away from it; negative inside."""
-        outside, nearest, side = 0.0, -np.inf, 0
+        outside, nearest, side, sign = 0.0, -np.inf, 0, 1.0
         for k in range(dim):
-            below, above = lower[k] - x[p, k], x[p, k] - upper[k]
+            x_k = x[block * dim + k, i]
+            below, above = lower[k] - x_k, x_k - upper[k]
             normal[k] = max(above, 0.0) - max(below, 0.0)
             outside += normal[k] * normal[k]
             if max(below, above) > nearest:
-                nearest, side = max(below, above), k
+                nearest, side, sign = max(below, above), k, -1.0 if below > above else 1.0
         if outside > 0.0:
             distance = np.sqrt(outside)
             for k in range(dim):
@@ -123,62 +125,61 @@ def contact(dim: int, kind: int) -> Contact:
             return distance
         for k in range(dim):
             normal[k] = 0.0
-        normal[side] = -1.0 if lower[side] - x[p, side] > x[p, side] - upper[side] else 1.0
+        normal[side] = sign
         return nearest
 
     @_njit
     def push(nodes, half, x, v, mass, lower, upper, velocity, reach, stiffness, friction, dt, rows):
-        """Contact forces to the nodes, and their sum ``(d,)``."""
-        base = np.empty(BLOCK, np.int64)
-        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
-        far, near = strides(nodes)
-        normal, force, total = np.zeros(3), np.zeros(3), np.zeros(dim)
-        for p in range(len(x)):
-            distance = gap(x, p, lower, upper, normal)
-            if distance >= reach:
-                continue
-            s = max(distance / reach, _CLOSEST)
-            strength = stiffness * mass[p] * reach / (dt * dt)
-            f = strength * (s - 1.0) * (2.0 * np.log(s) + (s - 1.0) / s)
-            approach = 0.0
-            for k in range(dim):
-                approach += (v[p, k] - velocity[k]) * normal[k]
-            slip = 0.0
-            for k in range(dim):
-                force[k] = v[p, k] - velocity[k] - approach * normal[k]
-                slip += force[k] * force[k]
-            # to stop the slip in one step, or what friction allows
-            stop = mass[p] * np.sqrt(slip) / dt
-            share = min(1.0, friction * f / stop) if stop > 0.0 else 0.0
-            for k in range(dim):
-                force[k] = f * normal[k] - share * mass[p] * force[k] / dt
-                total[k] += force[k]
-            fill(x, p, 1, nodes, half, base, w, d)
-            for a in range(width):
-                for b in range(width):
-                    for c in range(depth):
-                        node = base[0] + a * far + b * near + c
-                        weight = w[0, 0, a] * w[0, 1, b] * w[0, 2, c]
-                        for k in range(dim):
-                            rows[node, 5 + k] += weight * force[k]
+        """Contact forces to the nodes, and their sum ``(d,)``; points in blocks."""
+        base = np.empty(LANES, np.int64)
+        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
+        normal, force, total = np.zeros(3), np.zeros(dim), np.zeros(dim)
+        filled = -1
+        for block in range(len(mass)):
+            for i in range(LANES):
+                distance = gap(x, block, i, lower, upper, normal)
+                if distance >= reach:
+                    continue
+                m = mass[block, i]
+                s = max(distance / reach, _CLOSEST)
+                strength = stiffness * m * reach / (dt * dt)
+                f = strength * (s - 1.0) * (2.0 * np.log(s) + (s - 1.0) / s)
+                approach = 0.0
+                for k in range(dim):
+                    approach += (v[block * dim + k, i] - velocity[k]) * normal[k]
+                slip = 0.0
+                for k in range(dim):
+                    force[k] = v[block * dim + k, i] - velocity[k] - approach * normal[k]
+                    slip += force[k] * force[k]
+                # to stop the slip in one step, or what friction allows
+                stop = m * np.sqrt(slip) / dt
+                share = min(1.0, friction * f / stop) if stop > 0.0 else 0.0
+                for k in range(dim):
+                    force[k] = f * normal[k] - share * m * force[k] / dt
+                    total[k] += force[k]
+                if filled != block:
+                    fill(x, block, nodes, half, base, w, d)
+                    filled = block
+                add(i, nodes, base, w, force, rows)
         return total
 
     @_njit
     def hold_back(x_next, v, mass, lower, upper, velocity, reach, dt):
         """Keep points out of a box at its new place; the force that this took, ``(d,)``."""
         normal, total = np.zeros(3), np.zeros(dim)
-        for p in range(len(x_next)):
-            distance = gap(x_next, p, lower, upper, normal)
-            if distance >= _CLOSEST * reach:
-                continue
-            approach = 0.0
-            for k in range(dim):
-                x_next[p, k] += (_CLOSEST * reach - distance) * normal[k]
-                approach += (v[p, k] - velocity[k]) * normal[k]
-            if approach < 0.0:
+        for block in range(len(mass)):
+            for i in range(LANES):
+                distance = gap(x_next, block, i, lower, upper, normal)
+                if distance >= _CLOSEST * reach:
+                    continue
+                approach = 0.0
                 for k in range(dim):
-                    v[p, k] -= approach * normal[k]
-                    total[k] -= mass[p] * approach * normal[k] / dt
+                    x_next[block * dim + k, i] += (_CLOSEST * reach - distance) * normal[k]
+                    approach += (v[block * dim + k, i] - velocity[k]) * normal[k]
+                if approach < 0.0:
+                    for k in range(dim):
+                        v[block * dim + k, i] -= approach * normal[k]
+                        total[k] -= mass[block, i] * approach * normal[k] / dt
         return total
 
     return Contact(push, hold_back)

@@ -275,7 +275,10 @@ class ExplicitMPM:
             comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
 
     def _raise_if(self, bad: list[int]) -> None:
-        found = [part.describe(p) for part, p in zip(self._parts, bad, strict=True) if p >= 0]
+        found = [part.describe(block, self._nodes)
+            for part, block in zip(self._parts, bad, strict=True)
+            if block >= 0
+        ]
         comm = self.V.mesh.comm
         message = found[0] if found else None
         if comm.size > 1:

@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import Lattice
-from fenicsmpm.explicit.simd import LANES
+from fenicsmpm.lanes import LANES
 
 
 class Nodes(NamedTuple):

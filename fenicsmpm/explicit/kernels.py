@@ -27,37 +27,47 @@ import numba
 import numpy as np
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.simd import (
+from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
+from fenicsmpm.lanes import (
     LANES,
     add_at,
     add_scaled,
+    between,
     load,
+    load_column,
     number_at,
-    scaled,
     store,
+    store_column,
+    tensors,
+    works_on_rows,
     zeros,
 )
-from fenicsmpm.explicit.stencils import BLOCK, OPTIONS, stencils, strides
 from fenicsmpm.materials.tensors import cube_root
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
 _parallel = numba.njit(parallel=True)
 
+# a point has four lines of eight numbers: so far apart are the same numbers of two points
+_LINE = 4 * LANES
+_TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
+
 
 class Body(NamedTuple):
-    """Working arrays over the points of a body.
+    """Working arrays over the points of a body, in blocks (see `fenicsmpm.explicit.stencils`).
+
+    Points that fill up the last block have neither mass nor volume.
 
     Attributes:
-        x: positions ``(n, d)`` at the beginning of a step [m].
+        x: positions (d,) at the beginning of a step [m].
         x_next: at its end.
-        v: velocities ``(n, d)``.
-        F: deformation gradients ``(n, d, d)``.
-        J_bar: averaged J ``(n,)``.
-        mass: ``(n,)``.
-        V_0: initial volumes ``(n,)``.
-        state: what the material remembers ``(n, n_state)``.
-        L: velocity gradients ``(n, d, d)``, of no points if the material does not need them.
+        v: velocities (d,).
+        F: deformation gradients (d, d).
+        J_bar: averaged J.
+        mass: [kg].
+        V_0: initial volumes.
+        state: what the material remembers ``(n, n_state)``, not in blocks.
+        L: velocity gradients (d, d), of no points if the material does not need them.
         parameters: of the material.
     """
 
@@ -94,29 +104,33 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
     """
     width, fill = WIDTH[kind], stencils(dim, kind)
     depth = width if dim == 3 else 1
+    eight_at_once = works_on_rows(update)
 
     @_inline
-    def determinant(F, p):
+    def determinant(F, first):
+        """Of the tensors (d, d) in the rows from the first on."""
         if dim == 2:
-            return F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]
-        return (
-            F[p, 0, 0] * (F[p, 1, 1] * F[p, 2, 2] - F[p, 1, 2] * F[p, 2, 1])
-            - F[p, 0, 1] * (F[p, 1, 0] * F[p, 2, 2] - F[p, 1, 2] * F[p, 2, 0])
-            + F[p, 0, 2] * (F[p, 1, 0] * F[p, 2, 1] - F[p, 1, 1] * F[p, 2, 0])
-        )
+            return load(F, first) * load(F, first + 3) - load(F, first + 1) * load(F, first + 2)
+        a, b, c = load(F, first), load(F, first + 1), load(F, first + 2)
+        d, e, f = load(F, first + 3), load(F, first + 4), load(F, first + 5)
+        g, h, i = load(F, first + 6), load(F, first + 7), load(F, first + 8)
+        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
     @_inline
-    def pack(i, m, v, V, p, s, q, lines):
-        """What point p, the i-th of its block, gives: per value and slopes of a grid function.
+    def pack(block, body, V, s, first, lines):
+        """What the points of a block give: per value and slopes of a grid function.
 
-        Mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10); s[q] is its stress. That
-        the rows are in memory before they are loaded is faster than to build them in registers.
+        Mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10); stresses s (3, 3) from
+        row ``first`` on. Each line is in memory before it is loaded: faster than in registers.
         """
-        lines[4 * i, 0], lines[4 * i, 4] = m, V
+        m = load(body.mass, block)
+        store_column(lines, 0, _LINE, m)
+        store_column(lines, 4, _LINE, V)
         for k in range(dim):
-            lines[4 * i, 1 + k] = m * v[p, k]
+            store_column(lines, 1 + k, _LINE, m * load(body.v, block * dim + k))
             for j in range(dim):
-                lines[4 * i + 1 + k, 5 + j] = -V * s[q, j, k]
+                force = -V * load(s, first + 3 * j + k)
+                store_column(lines, (1 + k) * LANES + 5 + j, _LINE, force)
 
     @_inline
     def add_to_nodes(i, base, far, near, w, d, lines, rows):
@@ -124,195 +138,225 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
         value, by_x, by_y = load(lines, 4 * i), load(lines, 4 * i + 1), load(lines, 4 * i + 2)
         by_z = load(lines, 4 * i + 3)
         for a in range(width):
-            value_a = add_scaled(scaled(w[i, 0, a], value), d[i, 0, a], by_x)
-            y_a, z_a = scaled(w[i, 0, a], by_y), scaled(w[i, 0, a], by_z)
+            w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
+            value_a = add_scaled(w_a * value, d_a, by_x)
+            y_a, z_a = w_a * by_y, w_a * by_z
             for b in range(width):
+                w_b = number_at(w, (width + b) * LANES + i)
+                d_b = number_at(d, (width + b) * LANES + i)
                 node = base[i] + a * far + b * near
                 if dim == 2:
-                    total = add_scaled(load(rows, node), w[i, 1, b], value_a)
-                    store(rows, node, add_scaled(total, d[i, 1, b], y_a))
+                    total = add_scaled(load(rows, node), w_b, value_a)
+                    store(rows, node, add_scaled(total, d_b, y_a))
                 else:
-                    value_b = add_scaled(scaled(w[i, 1, b], value_a), d[i, 1, b], y_a)
-                    z_b = scaled(w[i, 1, b], z_a)
+                    value_b = add_scaled(w_b * value_a, d_b, y_a)
+                    z_b = w_b * z_a
                     for c in range(depth):
-                        total = add_scaled(load(rows, node + c), w[i, 2, c], value_b)
-                        store(rows, node + c, add_scaled(total, d[i, 2, c], z_b))
+                        w_c = number_at(w, (2 * width + c) * LANES + i)
+                        d_c = number_at(d, (2 * width + c) * LANES + i)
+                        total = add_scaled(load(rows, node + c), w_c, value_b)
+                        store(rows, node + c, add_scaled(total, d_c, z_b))
 
     @_njit
     def scatter(first, last, nodes, half, body, sigma, rows):
-        """Points with known stresses ``(n, 3, 3)`` to the nodes."""
-        base = np.empty(BLOCK, np.int64)
-        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
+        """Points with known stresses (3, 3) to the nodes."""
+        base = np.empty(LANES, np.int64)
+        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
+        lines = np.zeros((4 * LANES, LANES))
         far, near = strides(nodes)
-        lines = np.zeros((4 * BLOCK, LANES))
-        for start in range(first, last, BLOCK):
-            n = min(BLOCK, last - start)
-            fill(body.x, start, n, nodes, half, base, w, d)
-            for i in range(n):
-                p = start + i
-                V = determinant(body.F, p) * body.V_0[p]
-                pack(i, body.mass[p], body.v, V, p, sigma, p, lines)
-            for i in range(n):
+        for block in range(first, last):
+            fill(body.x, block, nodes, half, base, w, d)
+            V = determinant(body.F, block * dim * dim) * load(body.V_0, block)
+            pack(block, body, V, sigma, 9 * block, lines)
+            for i in range(LANES):
                 add_to_nodes(i, base, far, near, w, d, lines, rows)
+
+    @_inline
+    def from_nodes(i, base, far, near, w, d, rows, lines):
+        """Values and slopes of all that nodes have, at the i-th point of a block."""
+        value, by_x, by_y, by_z = zeros(), zeros(), zeros(), zeros()
+        for a in range(width):
+            w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
+            value_a, y_a, z_a = zeros(), zeros(), zeros()
+            for b in range(width):
+                w_b = number_at(w, (width + b) * LANES + i)
+                d_b = number_at(d, (width + b) * LANES + i)
+                node = base[i] + a * far + b * near
+                if dim == 2:
+                    line = load(rows, node)
+                else:
+                    line, slope = zeros(), zeros()
+                    for c in range(depth):
+                        nodal = load(rows, node + c)
+                        line = add_scaled(line, number_at(w, (2 * width + c) * LANES + i), nodal)
+                        slope = add_scaled(slope, number_at(d, (2 * width + c) * LANES + i), nodal)
+                    z_a = add_scaled(z_a, w_b, slope)
+                value_a = add_scaled(value_a, w_b, line)
+                y_a = add_scaled(y_a, d_b, line)
+            value = add_scaled(value, w_a, value_a)
+            by_x = add_scaled(by_x, d_a, value_a)
+            by_y = add_scaled(by_y, w_a, y_a)
+            if dim == 3:
+                by_z = add_scaled(by_z, w_a, z_a)
+        store(lines, 4 * i, value)
+        store(lines, 4 * i + 1, by_x)
+        store(lines, 4 * i + 2, by_y)
+        if dim == 3:
+            store(lines, 4 * i + 3, by_z)
 
     @_njit
     def gather(first, last, nodes, half, body, rows, dt, flip, average, r, averages):
         """Velocity, next position and F of points; J goes back to the nodes to be averaged.
 
         Returns:
-            A point that is inverted, not finite or outside of the lattice; or -1.
+            A block with a point that is inverted, not finite or outside of the lattice; or -1.
         """
-        x, x_next, v, F = body.x, body.x_next, body.v, body.F
-        J_bar, V_0, L = body.J_bar, body.V_0, body.L
-        base, share = np.empty(BLOCK, np.int64), np.empty(BLOCK)
-        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
-        f, lines = np.empty((BLOCK, 3, 3)), np.zeros((4 * BLOCK, LANES))
+        base = np.empty(LANES, np.int64)
+        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
+        f, shares, lines = np.empty((9, LANES)), np.empty((1, LANES)), np.empty((4 * LANES, LANES))
         far, near = strides(nodes)
         bad = np.int64(-1)
-        for start in range(first, last, BLOCK):
-            n = min(BLOCK, last - start)
-            fill(x, start, n, nodes, half, base, w, d)
-            for i in range(n):
-                p = start + i
-                value, by_x, by_y, by_z = zeros(), zeros(), zeros(), zeros()
-                for a in range(width):
-                    value_a, y_a, z_a = zeros(), zeros(), zeros()
-                    for b in range(width):
-                        node = base[i] + a * far + b * near
-                        if dim == 2:
-                            line = load(rows, node)
-                        else:
-                            line, slope = zeros(), zeros()
-                            for c in range(depth):
-                                nodal = load(rows, node + c)
-                                line = add_scaled(line, w[i, 2, c], nodal)
-                                slope = add_scaled(slope, d[i, 2, c], nodal)
-                            z_a = add_scaled(z_a, w[i, 1, b], slope)
-                        value_a = add_scaled(value_a, w[i, 1, b], line)
-                        y_a = add_scaled(y_a, d[i, 1, b], line)
-                    value = add_scaled(value, w[i, 0, a], value_a)
-                    by_x = add_scaled(by_x, d[i, 0, a], value_a)
-                    by_y = add_scaled(by_y, w[i, 0, a], y_a)
-                    if dim == 3:
-                        by_z = add_scaled(by_z, w[i, 0, a], z_a)
-                store(lines, 4 * i, value)
-                store(lines, 4 * i + 1, by_x)
-                store(lines, 4 * i + 2, by_y)
-                if dim == 3:
-                    store(lines, 4 * i + 3, by_z)
-            for i in range(n):
-                p = start + i
-                for j in range(dim):
-                    # eqs. 11-13 and 17
-                    x_next[p, j] = x[p, j] + dt * lines[4 * i, 1 + j]
-                    in_flip = v[p, j] + lines[4 * i, 5 + j]
-                    v[p, j] = flip * in_flip + (1.0 - flip) * lines[4 * i, 1 + j]
-                    # eq. 16
-                    for k in range(dim):
-                        rate = lines[4 * i + 1 + k, 1 + j]
-                        f[i, j, k] = dt * rate
-                        if rates:
-                            L[p, j, k] = rate
-                    f[i, j, j] += 1.0
-                # eq. 14
-                if dim == 2:
-                    for j in range(2):
-                        F0, F1 = F[p, 0, j], F[p, 1, j]
-                        F[p, 0, j] = f[i, 0, 0] * F0 + f[i, 0, 1] * F1
-                        F[p, 1, j] = f[i, 1, 0] * F0 + f[i, 1, 1] * F1
-                else:
-                    for j in range(3):
-                        F0, F1, F2 = F[p, 0, j], F[p, 1, j], F[p, 2, j]
-                        F[p, 0, j] = f[i, 0, 0] * F0 + f[i, 0, 1] * F1 + f[i, 0, 2] * F2
-                        F[p, 1, j] = f[i, 1, 0] * F0 + f[i, 1, 1] * F1 + f[i, 1, 2] * F2
-                        F[p, 2, j] = f[i, 2, 0] * F0 + f[i, 2, 1] * F1 + f[i, 2, 2] * F2
-                dJ, J = determinant(f, i), determinant(F, p)
-                inside = 0.0 < J < np.inf
+        for block in range(first, last):
+            fill(body.x, block, nodes, half, base, w, d)
+            for i in range(LANES):
+                from_nodes(i, base, far, near, w, d, rows, lines)
+            vector, tensor = block * dim, block * dim * dim
+            good = True
+            for j in range(dim):
+                # eqs. 11-13 and 17
+                velocity = load_column(lines, 1 + j, _LINE)
+                increment = load_column(lines, 5 + j, _LINE)
+                x_next = load(body.x, vector + j) + dt * velocity
+                in_flip = load(body.v, vector + j) + increment
+                store(body.x_next, vector + j, x_next)
+                store(body.v, vector + j, flip * in_flip + (1.0 - flip) * velocity)
+                t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
+                good &= between(t, 0, nodes.shape[j] - 1)
+                # eq. 16
                 for k in range(dim):
-                    t = (x_next[p, k] - nodes.origin[k]) * nodes.per_metre[k]
-                    inside = inside and 0.0 <= t <= nodes.shape[k] - 1
-                if not inside:
-                    bad = p
-                # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
-                share[i] = V_0[p] * J * ((1.0 - r) * J_bar[p] + r * (J / dJ))
+                    rate = load_column(lines, (1 + k) * LANES + 1 + j, _LINE)
+                    if rates:
+                        store(body.L, tensor + j * dim + k, rate)
+                    store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
+            J_old, dJ = determinant(body.F, tensor), determinant(f, 0)
+            # eq. 14
+            for k in range(dim):
+                F_0, F_1 = load(body.F, tensor + k), load(body.F, tensor + dim + k)
+                F_2 = load(body.F, tensor + 2 * dim + k) if dim == 3 else F_0
+                for j in range(dim):
+                    new = load(f, j * dim) * F_0 + load(f, j * dim + 1) * F_1
+                    if dim == 3:
+                        new += load(f, j * dim + 2) * F_2
+                    store(body.F, tensor + j * dim + k, new)
+            J = dJ * J_old
+            good &= between(J, _TINY, _HUGE)
+            if not good:
+                bad = block
             if average:
-                for i in range(n):
+                # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
+                share = J * ((1.0 - r) * load(body.J_bar, block) + r * J_old)
+                store(shares, 0, load(body.V_0, block) * share)
+                for i in range(LANES):
                     for a in range(width):
+                        share_a = shares[0, i] * number_at(w, a * LANES + i)
                         for b in range(width):
-                            share_b = share[i] * w[i, 0, a] * w[i, 1, b]
+                            share_b = share_a * number_at(w, (width + b) * LANES + i)
                             node = base[i] + a * far + b * near
-                            for c in range(depth):
-                                add_at(averages, node + c, share_b * w[i, 2, c])
+                            if dim == 2:
+                                add_at(averages, node, share_b)
+                            else:
+                                for c in range(depth):
+                                    w_c = number_at(w, (2 * width + c) * LANES + i)
+                                    add_at(averages, node + c, share_b * w_c)
         return bad
+
+    @_inline
+    def mean(i, base, far, near, w, averages):
+        """Averaged J at the i-th point of a block."""
+        total = 0.0
+        for a in range(width):
+            by_a = 0.0
+            for b in range(width):
+                node = base[i] + a * far + b * near
+                if dim == 2:
+                    line = number_at(averages, node)
+                else:
+                    line = 0.0
+                    for c in range(depth):
+                        w_c = number_at(w, (2 * width + c) * LANES + i)
+                        line += w_c * number_at(averages, node + c)
+                by_a += number_at(w, (width + b) * LANES + i) * line
+            total += number_at(w, a * LANES + i) * by_a
+        return total
 
     @_inline
     def root(x):
         return math.sqrt(x) if dim == 2 else cube_root(x)
 
+    @_inline
+    def one_by_one(block, F, L, body, stress):
+        """Stresses of a block by a law for one point."""
+        F_i, L_i, sigma = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+        for i in range(LANES):
+            for j in range(3):
+                for k in range(3):
+                    F_i[j, k], L_i[j, k] = F[3 * j + k, i], L[3 * j + k, i]
+            update(F_i, L_i, body.parameters, body.state[block * LANES + i], sigma)
+            for j in range(3):
+                for k in range(3):
+                    stress[3 * j + k, i] = sigma[j, k]
+
     @_njit
     def finish(first, last, nodes, half, body, average, s, averages, again, sigma, rows):
         """Stresses by the averaged J: to the nodes for the next step, or at last to ``sigma``."""
-        x, F, J_bar, L = body.x, body.F, body.J_bar, body.L
-        base = np.empty(BLOCK, np.int64)
-        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
+        base = np.empty(LANES, np.int64)
+        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
+        F_bar, rate, stress = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
+        F_bar[8] = 1.0
+        means, lines = np.empty((1, LANES)), np.zeros((4 * LANES, LANES))
         far, near = strides(nodes)
-        F_bar, rate = np.zeros((BLOCK, 3, 3)), np.zeros((3, 3))
-        F_bar[:, 2, 2] = 1.0
-        stress, volume = np.zeros((BLOCK, 3, 3)), np.empty(BLOCK)
-        lines = np.zeros((4 * BLOCK, LANES))
-        for start in range(first, last, BLOCK):
-            n = min(BLOCK, last - start)
+        for block in range(first, last):
+            tensor = block * dim * dim
+            J = determinant(body.F, tensor)
+            scale = 1.0 + zeros()
             if average:
-                fill(x, start, n, nodes, half, base, w, d)
-                for i in range(n):
-                    mean = 0.0
-                    for a in range(width):
-                        for b in range(width):
-                            node = base[i] + a * far + b * near
-                            line = 0.0
-                            for c in range(depth):
-                                line += w[i, 2, c] * number_at(averages, node + c)
-                            mean += w[i, 0, a] * w[i, 1, b] * line
-                    J_bar[start + i] = mean
-            for i in range(n):
-                p = start + i
-                J = determinant(F, p)
-                if not average:
-                    J_bar[p] = J
-                elif s > 0.0:
-                    J_star = J + s * (J_bar[p] - J)
+                fill(body.x, block, nodes, half, base, w, d)
+                for i in range(LANES):
+                    means[0, i] = mean(i, base, far, near, w, averages)
+                J_bar = load(means, 0)
+                J_star = J + s * (J_bar - J) if s > 0.0 else J
+                if s > 0.0:
                     shrink = root(J_star / J)
-                    for j in range(dim):
-                        for k in range(dim):
-                            F[p, j, k] *= shrink
+                    for k in range(dim * dim):
+                        store(body.F, tensor + k, shrink * load(body.F, tensor + k))
                     J = J_star
-                if is_fluid:
-                    stretch = root(J)
-                    for j in range(dim):
-                        for k in range(dim):
-                            F[p, j, k] = stretch if j == k else 0.0
-                scale = root(J_bar[p] / J) if average else 1.0  # eq. 18
+                scale = root(J_bar / J)  # eq. 18
+            else:
+                J_bar = J
+            store(body.J_bar, block, J_bar)
+            if is_fluid:
+                stretch = root(J)
                 for j in range(dim):
                     for k in range(dim):
-                        F_bar[i, j, k] = scale * F[p, j, k]
-                volume[i] = J * body.V_0[p]
-            for i in range(n):
-                p = start + i
-                if rates:
-                    for j in range(dim):
-                        for k in range(dim):
-                            rate[j, k] = L[p, j, k]
-                update(F_bar[i], rate, body.parameters, body.state[p], stress[i])
-                pack(i, body.mass[p], body.v, volume[i], p, stress, i, lines)
+                        store(body.F, tensor + j * dim + k, stretch if j == k else zeros())
+            for j in range(dim):
+                for k in range(dim):
+                    store(F_bar, 3 * j + k, scale * load(body.F, tensor + j * dim + k))
+                    if rates:
+                        store(rate, 3 * j + k, load(body.L, tensor + j * dim + k))
+            if eight_at_once:
+                nothing = body.state[0]
+                update(tensors(F_bar), tensors(rate), body.parameters, nothing, tensors(stress))
+            else:
+                one_by_one(block, F_bar, rate, body, stress)
             if again:
-                fill(body.x_next, start, n, nodes, half, base, w, d)
-                for i in range(n):
+                pack(block, body, J * load(body.V_0, block), stress, 0, lines)
+                fill(body.x_next, block, nodes, half, base, w, d)
+                for i in range(LANES):
                     add_to_nodes(i, base, far, near, w, d, lines, rows)
             else:
-                for i in range(n):
-                    for j in range(3):
-                        for k in range(3):
-                            sigma[start + i, j, k] = stress[i, j, k]
+                for k in range(9):
+                    store(sigma, 9 * block + k, load(stress, k))
 
     # points of a thread are a range of them: sorted by cell, they share most of their nodes
 
@@ -340,51 +384,3 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
             )  # fmt: skip
 
     return Kernels(scatter_all, gather_all, finish_all)
-
-
-class Carriers(NamedTuple):
-    """What points without material do; see ``carriers``."""
-
-    add_forces: Callable[..., None]
-    follow: Callable[..., None]
-
-
-@functools.cache
-def carriers(dim: int, kind: int) -> Carriers:
-    """Compile what points do that carry forces through the grid."""
-    width, fill = WIDTH[kind], stencils(dim, kind)
-    depth = width if dim == 3 else 1
-
-    @_njit
-    def add_forces(nodes, half, x, force, rows):
-        """External forces of points, ``(n, d)`` [N], to the nodes."""
-        base = np.empty(BLOCK, np.int64)
-        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
-        far, near = strides(nodes)
-        for p in range(len(x)):
-            fill(x, p, 1, nodes, half, base, w, d)
-            for a in range(width):
-                for b in range(width):
-                    for c in range(depth):
-                        node = base[0] + a * far + b * near + c
-                        share = w[0, 0, a] * w[0, 1, b] * w[0, 2, c]
-                        for k in range(dim):
-                            rows[node, 5 + k] += share * force[p, k]
-
-    @_njit
-    def follow(nodes, half, x, rows, dt):
-        """Move points with the grid (eq. 17)."""
-        base = np.empty(BLOCK, np.int64)
-        w, d = np.ones((BLOCK, 3, width)), np.zeros((BLOCK, 3, width))
-        far, near = strides(nodes)
-        for p in range(len(x)):
-            fill(x, p, 1, nodes, half, base, w, d)
-            for a in range(width):
-                for b in range(width):
-                    for c in range(depth):
-                        node = base[0] + a * far + b * near + c
-                        share = dt * w[0, 0, a] * w[0, 1, b] * w[0, 2, c]
-                        for k in range(dim):
-                            x[p, k] += share * rows[node, 1 + k]
-
-    return Carriers(add_forces, follow)

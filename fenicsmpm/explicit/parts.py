@@ -9,10 +9,13 @@ import numpy.typing as npt
 
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import GIMP
+from fenicsmpm.explicit.carriers import carriers
 from fenicsmpm.explicit.contact import RigidBox, contact
 from fenicsmpm.explicit.fbar import FBar
 from fenicsmpm.explicit.grid import Nodes
-from fenicsmpm.explicit.kernels import Body, carriers, transfers
+from fenicsmpm.explicit.kernels import Body, transfers
+from fenicsmpm.explicit.stencils import in_blocks, out_of_blocks
+from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law, NewtonianFluid
 from fenicsmpm.points import MaterialPoints
 
@@ -64,24 +67,30 @@ class Part:
             raise ValueError(f"a body's law may change its parameters only: {law}")
         points, d = self.points, self._dim
         n = len(points)
+        somewhere = points.x[-1] if n else 0.0
+        x = in_blocks(points.x, somewhere)
+        F = in_blocks(points["F"][:, :d, :d], np.eye(d))
+        mass = in_blocks(points["mass"])
+        state = np.zeros((LANES * max(len(mass), 1), law.n_state))
+        state[:n] = points["state"]
         self._body = Body(
-            x=points.x.copy(),
-            x_next=np.empty((n, d)),
-            v=points["v"].copy(),
-            F=points["F"][:, :d, :d].copy(),
-            J_bar=points["J_bar"].copy(),
-            mass=points["mass"],
-            V_0=points["V_0"],
-            state=points["state"].copy(),
-            L=np.zeros((n if self._rates else 0, d, d)),
+            x=x,
+            x_next=np.empty_like(x),
+            v=in_blocks(points["v"]),
+            F=F,
+            J_bar=in_blocks(points["J_bar"], 1.0),
+            mass=mass,
+            V_0=in_blocks(points["V_0"]),
+            state=state,
+            L=np.zeros_like(F) if self._rates else np.empty((0, LANES)),
             parameters=np.asarray(law.parameters),
         )
-        self._sigma = np.empty((0, 3, 3))
-        self._ranges = np.linspace(0, n, threads + 1).astype(np.int64)
+        self._sigma = np.empty((0, LANES))
+        self._ranges = np.linspace(0, len(mass), threads + 1).astype(np.int64)
 
     def scatter(self, rows: Array, nodes: Nodes) -> None:
         """Add the points to the nodes before the first step."""
-        sigma = self.points["sigma"]
+        sigma = in_blocks(self.points["sigma"])
         self._kernels.scatter(self._ranges, nodes, self._half, self._body, sigma, rows)
 
     def push(self, box: RigidBox, velocity: Array, dt: float, rows: Array, nodes: Nodes) -> Array:
@@ -111,7 +120,7 @@ class Part:
         """Velocities, positions and F from the nodes, and J to them.
 
         Returns:
-            A point that is inverted, not finite or outside; or -1.
+            A block with a point that is inverted, not finite or outside; or -1.
         """
         average = self._fbar is not None
         r = self._fbar.r if self._fbar else 0.0
@@ -126,7 +135,7 @@ class Part:
         body, average = self._body, self._fbar is not None
         s = self._fbar.s if self._fbar else 0.0
         if not again:
-            self._sigma = np.empty((len(body.x), 3, 3))
+            self._sigma = np.empty((9 * len(body.mass), LANES))
         self._kernels.finish(
             self._ranges, nodes, self._half, body, average, s, averages, again, self._sigma, rows
         )
@@ -135,33 +144,45 @@ class Part:
     def settle(self, sort: bool) -> None:
         """Give the points what has changed, and bring their cells up to date (collective)."""
         points, body, d = self.points, self._body, self._dim
-        F = np.tile(np.eye(3), (len(points), 1, 1))
-        F[:, :d, :d] = body.F
+        n = len(points)
+        x = out_of_blocks(body.x, n, (d,))
+        F = np.tile(np.eye(3), (n, 1, 1))
+        F[:, :d, :d] = out_of_blocks(body.F, n, (d, d))
         J = determinants(F)
         points.assign(
             {
-                "u": points["u"] + (body.x - points.x),
-                "v": body.v,
+                "u": points["u"] + (x - points.x),
+                "v": out_of_blocks(body.v, n, (d,)),
                 "F": F,
                 "J": J,
-                "J_bar": body.J_bar,
-                "sigma": self._sigma,
-                "state": body.state,
-                "weight": J * body.V_0,
+                "J_bar": out_of_blocks(body.J_bar, n),
+                "sigma": out_of_blocks(self._sigma, n, (3, 3)),
+                "state": body.state[:n],
+                "weight": J * points["V_0"],
             }
         )
-        points.move(body.x)
+        points.move(x)
         if sort:
             points.sort()
 
-    def describe(self, p: int) -> str:
-        """What is wrong with a point, and where it is."""
-        J = float(np.linalg.det(self._body.F[p]))
-        where = np.array2string(self._body.x_next[p], precision=6)
+    def describe(self, block: int, nodes: Nodes) -> str:
+        """What is wrong with a point of a block, and where it is."""
+        d, body = self._dim, self._body
+        first = block * LANES
+        ids = self.points.id[first : first + LANES]
+        x = out_of_blocks(body.x_next[block * d : (block + 1) * d], len(ids), (d,))
+        F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], len(ids), (d, d))
+        J = np.linalg.det(F)
+        t = (x - nodes.origin[:d]) * nodes.per_metre[:d]
+        inside = np.all((t >= 0) & (t <= nodes.shape[:d] - 1), axis=1)
+        i = int(np.argmin(inside & (J > 0) & np.isfinite(J)))
+        where = np.array2string(x[i], precision=6)
         what = (
-            "is inverted" if J <= 0 else "leaves the lattice" if np.isfinite(J) else "is not finite"
+            "is inverted"
+            if J[i] <= 0
+            else "leaves the lattice" if np.isfinite(J[i]) else "is not finite"
         )
-        return f"point {self.points.id[p]} {what} at {where} with J = {J:g}"
+        return f"point {ids[i]} {what} at {where} with J = {J[i]:g}"
 
 
 class Load:
@@ -185,11 +206,12 @@ class Load:
         self.points = points
         self._kernels = carriers(dim, kind)
         self._half = half_size(points, kind)
-        self._x = points.x.copy()
+        self._x = in_blocks(points.x)
 
     def begin(self) -> None:
         """Take the present positions."""
-        self._x = self.points.x.copy()
+        points = self.points
+        self._x = in_blocks(points.x, points.x[-1] if len(points) else 0.0)
 
     def add_forces(self, rows: Array, nodes: Nodes) -> None:
         """Add the forces to the nodes."""
@@ -202,8 +224,9 @@ class Load:
     def settle(self) -> None:
         """Bring cells and displacements up to date (collective)."""
         points = self.points
-        points.assign({"u": points["u"] + (self._x - points.x)})
-        points.move(self._x)
+        x = out_of_blocks(self._x, len(points), points.x.shape[1:])
+        points.assign({"u": points["u"] + (x - points.x)})
+        points.move(x)
 
 
 def half_size(points: MaterialPoints, kind: int) -> Array:

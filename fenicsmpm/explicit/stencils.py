@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Grid functions at blocks of points, for the kernels of explicit steps (numba).
+"""Grid functions at blocks of eight points, for the kernels of explicit steps (numba).
 
-Kernels work on blocks: what a point needs is found for all points of a block before the next stage
-begins. The loops are then short enough for a processor to work on several points at once.
+What belongs to the points of a block stands side by side: arrays over points have the shape
+``(n_blocks * components, 8)``, so that formulas act on rows, eight points at once.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -10,14 +10,27 @@ begins. The loops are then short enough for a processor to work on several point
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
-from fenicsmpm.basis.lines import CUBIC, LINEAR, QUADRATIC, WIDTH, cubic, gimp, quadratic
-
-BLOCK = 8
+from fenicsmpm.basis.lines import (
+    CUBIC,
+    LINEAR,
+    QUADRATIC,
+    WIDTH,
+    cubic,
+    cubic_inside,
+    gimp,
+    gimp_inside,
+    linear,
+    quadratic,
+    quadratic_inside,
+)
+from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 # Not cached: numba would not find again what is compiled for functions that were passed to it
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
@@ -25,27 +38,65 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
 
+def in_blocks(values: npt.NDArray[np.float64], filling: Any = 0.0) -> npt.NDArray[np.float64]:
+    """Array ``(n, ...)`` over points as one of blocks, ``(n_blocks * components, 8)``.
+
+    Args:
+        values: at the points.
+        filling: value of the points that fill up the last block, as the shape of a point's.
+    """
+    n = len(values)
+    blocks = -(-n // LANES)
+    filled = np.empty((blocks * LANES, *values.shape[1:]))
+    filled[:n], filled[n:] = values, filling
+    lanes_last = np.moveaxis(filled.reshape(blocks, LANES, -1), 1, 2)
+    return np.ascontiguousarray(lanes_last).reshape(-1, LANES)
+
+
+def out_of_blocks(
+    rows: npt.NDArray[np.float64], n: int, shape: tuple[int, ...] = ()
+) -> npt.NDArray[np.float64]:
+    """Values ``(n, *shape)`` at points from an array of blocks."""
+    components = math.prod(shape)
+    points = np.moveaxis(rows.reshape(-1, components, LANES), 2, 1)
+    return points.reshape(-1, *shape)[:n]
+
+
 @functools.cache
 def stencils(dim: int, kind: int) -> Any:
     """Compile the numba function that finds grid functions at a block of points.
 
-    Its arguments are positions ``(n, d)``, the first point and the number of points, the nodes
+    Its arguments are positions ``(n_blocks * d, 8)``, the number of the block, the nodes
     (``grid.Nodes``), the points' half size in cells, and results: the number of each point's first
-    node ``(BLOCK,)``, values and slopes in each direction ``(BLOCK, 3, width)``.
+    node ``(8,)``, values and slopes ``(3 * width, 8)``, row ``k * width + a`` for the a-th node in
+    direction k.
     """
-    width, functions = WIDTH[kind], _functions(kind)
+    width = WIDTH[kind]
+    inside, anywhere = _functions(kind)
 
     @_inline
-    def fill(x, start, n, nodes, half, base, w, d):
-        for i in range(n):
-            node = np.int64(0)
-            for k in range(dim):
-                t = (x[start + i, k] - nodes.origin[k]) * nodes.per_metre[k]
-                first = functions(t, nodes.shape[k] - 1, half[k], w, d, i, k)
-                node = node * nodes.shape[k] + first
-                for a in range(width):
-                    d[i, k, a] *= nodes.per_metre[k]
-            base[i] = node
+    def fill(x, block, nodes, half, base, w, d):
+        near_wall, node = False, zeros()
+        for k in range(dim):
+            t = (load(x, block * dim + k) - nodes.origin[k]) * nodes.per_metre[k]
+            first, values, slopes, no_wall = inside(t, nodes.shape[k] - 1, half[k])
+            near_wall |= not no_wall
+            for a in range(width):
+                store(w, k * width + a, values[a])
+                store(d, k * width + a, slopes[a] * nodes.per_metre[k])
+            node = node * nodes.shape[k] + first
+        store_integers(base, node)
+        if near_wall:
+            for i in range(LANES):
+                number = np.int64(0)
+                for k in range(dim):
+                    t_i = (x[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
+                    first_i, values_i, slopes_i = anywhere(t_i, nodes.shape[k] - 1, half[k])
+                    number = number * nodes.shape[k] + first_i
+                    for a in range(width):
+                        w[k * width + a, i] = values_i[a]
+                        d[k * width + a, i] = slopes_i[a] * nodes.per_metre[k]
+                base[i] = number
 
     return fill
 
@@ -58,53 +109,85 @@ def strides(nodes):
 
 @functools.cache
 def _functions(kind: int) -> Any:
-    """Values and slopes of a kind of functions in one direction, and the first node."""
+    """Functions of a kind in one direction for eight points away from walls, and for one anywhere.
+
+    Both give the first node, values and slopes of functions; the first one in addition whether all
+    points are away from walls.
+    """
     if kind == LINEAR:
 
         @_inline
-        def functions(t, cells, half, w, d, i, k):
+        def inside(t, cells, half):
+            c = min(max(math.floor(t), 0.0), cells - 1.0)
+            values, slopes, _ = linear(t - c)
+            return c, values, (zeros() + slopes[0], zeros() + slopes[1]), True
+
+        @_inline
+        def anywhere(t, cells, half):
             c = min(int(t), cells - 1)
-            w[i, k, 0], w[i, k, 1] = 1.0 - (t - c), t - c
-            d[i, k, 0], d[i, k, 1] = -1.0, 1.0
-            return c
+            values, slopes, _ = linear(t - c)
+            return c, values, slopes
 
     elif kind == CUBIC:
 
         @_inline
-        def functions(t, cells, half, w, d, i, k):
+        def inside(t, cells, half):
+            c = math.floor(t)
+            values, slopes = cubic_inside(t - c)
+            return c - 1.0, values, slopes, between(c, 1, cells - 2)
+
+        @_inline
+        def anywhere(t, cells, half):
             c = min(int(t), cells - 1)
             values, slopes, _ = cubic(t - c, c == 0, c == cells - 1)
             # a node beyond a wall has no share: the four nodes that count are inside
-            shift = 1 if c == 0 else -1 if c == cells - 1 else 0
-            for a in range(4):
-                b = a + shift
-                w[i, k, a] = values[b] if 0 <= b < 4 else 0.0
-                d[i, k, a] = slopes[b] if 0 <= b < 4 else 0.0
-            return c - 1 + shift
+            if c == 0:
+                return 0, _up4(values), _up4(slopes)
+            if c == cells - 1:
+                return cells - 3, _down4(values), _down4(slopes)
+            return c - 1, values, slopes
 
     else:
-        spline = kind == QUADRATIC
+        is_spline = kind == QUADRATIC
 
         @_inline
-        def functions(t, cells, half, w, d, i, k):
+        def inside(t, cells, half):
+            node = math.floor(t + 0.5)
+            values, slopes = quadratic_inside(t - node) if is_spline else gimp_inside(t - node, half)
+            return node - 1.0, values, slopes, between(node, 1, cells - 1)
+
+        @_inline
+        def anywhere(t, cells, half):
             node = int(t + 0.5)
             lower, upper = node == 0, node == cells
-            if spline:
+            if is_spline:
                 values, slopes, _ = quadratic(t - node, lower, upper)
             else:
                 values, slopes, _ = gimp(t - node, half, lower, upper)
-            a0, a1, a2 = values
-            d0, d1, d2 = slopes
             if lower:
-                w[i, k, 0], w[i, k, 1], w[i, k, 2] = a1, a2, 0.0
-                d[i, k, 0], d[i, k, 1], d[i, k, 2] = d1, d2, 0.0
-                return 0
+                return 0, _up3(values), _up3(slopes)
             if upper:
-                w[i, k, 0], w[i, k, 1], w[i, k, 2] = 0.0, a0, a1
-                d[i, k, 0], d[i, k, 1], d[i, k, 2] = 0.0, d0, d1
-                return cells - 2
-            w[i, k, 0], w[i, k, 1], w[i, k, 2] = a0, a1, a2
-            d[i, k, 0], d[i, k, 1], d[i, k, 2] = d0, d1, d2
-            return node - 1
+                return cells - 2, _down3(values), _down3(slopes)
+            return node - 1, values, slopes
 
-    return functions
+    return inside, anywhere
+
+
+@_inline
+def _up3(f):
+    return f[1], f[2], 0.0
+
+
+@_inline
+def _down3(f):
+    return 0.0, f[0], f[1]
+
+
+@_inline
+def _up4(f):
+    return f[1], f[2], f[3], 0.0
+
+
+@_inline
+def _down4(f):
+    return 0.0, f[0], f[1], f[2]

@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
-from fenicsmpm.materials.tensors import cube_root, metric_change, volume_change
+from fenicsmpm.materials.tensors import inverse_cube_root, metric_change, volume_change
 
 # g(J) = U'(J) / kappa [-], the volumetric laws that the papers use
 VOLUMETRIC_LAWS: dict[str, Callable[[Any], Any]] = {
@@ -50,8 +50,8 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mean = kappa * _volumetric_strain(J, parameters[2])
     b = metric_change(F)
     third = (b[0] + b[1] + b[2]) / 3
-    root = cube_root(J)
-    shear = mu / (J * root * root)
+    root = inverse_cube_root(J)
+    shear = mu * (root * root * root) * (root * root)
     sigma[0, 0] = shear * (b[0] - third) + mean
     sigma[1, 1] = shear * (b[1] - third) + mean
     sigma[2, 2] = shear * (b[2] - third) + mean

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 
+from fenicsmpm.lanes import if_positive, rough_inverse_cube_root
 from fenicsmpm.materials.law import compiled
 
 SQRT_3 = math.sqrt(3)
@@ -33,23 +33,25 @@ def _combine(s, a, t, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def cube_root(x):  # type: ignore[no-untyped-def]
-    """Cube root of a number, to round-off; NaN unless it is positive.
+def inverse_cube_root(x):  # type: ignore[no-untyped-def]
+    """x^(-1/3), to round-off; NaN unless x is positive.
 
-    Inlined and without a call it costs a quarter of a power where x is near 1, as volume ratios of
-    nearly incompressible materials are: Halley's method triples the digits in each step.
+    A rough guess, and iterations without a division that triple, and at last double its digits.
     """
-    if 0.96 < x < 1.04:
-        y = 1 + (x - 1) / 3
-        y -= y * (y * y * y - x) / (2 * y * y * y + x)
-    elif 0.5 < x < 2:
-        y = 0.6 + 0.4 * x
-        for _ in range(3):
-            y -= y * (y * y * y - x) / (2 * y * y * y + x)
-        return y
-    else:
-        return np.cbrt(x) if x > 0 else math.nan
-    return y - y * (y * y * y - x) / (2 * y * y * y + x)
+    z = rough_inverse_cube_root(x)
+    for _ in range(2):
+        h = 1 - x * z * z * z
+        z += z * h * (1 / 3 + 2 / 9 * h)
+    z += z * (1 - x * z * z * z) / 3
+    return if_positive(x, z)
+
+
+@compiled
+def cube_root(x):  # type: ignore[no-untyped-def]
+    """Cube root, to round-off; NaN unless x is positive."""
+    z = inverse_cube_root(x)
+    y = x * z * z
+    return y + (x - y * y * y) * z * z / 3
 
 
 @compiled
