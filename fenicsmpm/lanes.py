@@ -3,7 +3,8 @@
 
 A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``max``, ``math.sqrt``
 and ``math.floor`` act on each of its lanes. So what is written for one point can be compiled for
-eight of them, if it has no branches. Rows are loaded from arrays ``(n, 8)``.
+eight of them, if it has no branches. Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four
+numbers of an array ``(n, 4)``, which can only be summed up.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
@@ -20,10 +21,11 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
-LANES = 8
+LANES, LINE_LANES = 8, 4
 
 _DOUBLE, _INT64, _INT32 = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 _VECTOR, _INTEGERS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_INT64, LANES)
+_SHORT_VECTOR = ir.VectorType(_DOUBLE, LINE_LANES)
 # products and sums may be fused: faster and not less accurate
 _FUSE = ("contract",)
 _NUMBERS = (types.Float, types.Integer)
@@ -37,7 +39,15 @@ class RowType(types.Type):
         super().__init__(name="Row")
 
 
-ROW = RowType()
+class LineType(types.Type):
+    """Numba's type of a line."""
+
+    def __init__(self):
+        """Name it."""
+        super().__init__(name="Line")
+
+
+ROW, LINE = RowType(), LineType()
 
 
 @register_model(RowType)
@@ -46,16 +56,23 @@ class _RowModel(models.PrimitiveModel):
         super().__init__(manager, row_type, _VECTOR)
 
 
-def splat(builder, number):
+@register_model(LineType)
+class _LineModel(models.PrimitiveModel):
+    def __init__(self, manager, line_type):
+        super().__init__(manager, line_type, _SHORT_VECTOR)
+
+
+def _splat(builder, number, kind=_VECTOR):
     """LLVM vector with the same number in each lane."""
-    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    undefined = ir.Constant(kind, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.Constant(_INT32, 0))
-    return builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(_INT32, LANES), None))
+    mask = ir.Constant(ir.VectorType(_INT32, kind.count), None)
+    return builder.shuffle_vector(first, undefined, mask)
 
 
 def _call(builder, name, kind, *arguments):
     """LLVM's own function of one or more vectors or doubles."""
-    suffix = "f64" if kind is _DOUBLE else f"v{LANES}f64"
+    suffix = "f64" if kind is _DOUBLE else f"v{kind.count}f64"
     function_type = ir.FunctionType(kind, [kind] * len(arguments))
     function = cgutils.get_or_insert_function(
         builder.module, function_type, f"llvm.{name}.{suffix}"
@@ -93,7 +110,7 @@ def _define(function, count, build):
 
     def generate(context, builder, signature, arguments):
         vectors = [
-            value if kind is ROW else splat(builder, context.cast(builder, value, kind, types.float64))
+            value if kind is ROW else _splat(builder, context.cast(builder, value, kind, types.float64))
             for kind, value in zip(signature.args, arguments, strict=True)
         ]
         return build(builder, *vectors)
@@ -136,14 +153,25 @@ def zeros(_typing):
 
 
 @intrinsic
+def zero_line(_typing):
+    """A line of zeros."""
+
+    def generate(_context, _builder, _signature, _arguments):
+        return ir.Constant(_SHORT_VECTOR, None)
+
+    return LINE(), generate
+
+
+@intrinsic
 def add_scaled(_typing, total, factor, vector):
-    """Row total + factor * vector with a number as factor, rounded once."""
+    """Total + factor * vector, rows or lines with a number as factor, rounded once."""
 
-    def generate(_context, builder, _signature, arguments):
+    def generate(_context, builder, signature, arguments):
+        kind = _VECTOR if signature.return_type is ROW else _SHORT_VECTOR
         total, factor, vector = arguments
-        return _call(builder, "fma", _VECTOR, splat(builder, factor), vector, total)
+        return _call(builder, "fma", kind, _splat(builder, factor, kind), vector, total)
 
-    return ROW(ROW, types.float64, ROW), generate
+    return total(total, types.float64, total), generate
 
 
 @intrinsic
@@ -152,7 +180,7 @@ def between(_typing, row, low, high):
 
     def generate(context, builder, signature, arguments):
         low, high = (
-            splat(builder, context.cast(builder, value, kind, types.float64))
+            _splat(builder, context.cast(builder, value, kind, types.float64))
             for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
         )
         above = builder.fcmp_ordered(">=", arguments[0], low)
@@ -172,7 +200,7 @@ def if_positive(_typing, condition, value):
         positive = builder.fcmp_ordered(">", arguments[0], ir.Constant(kind, None))
         nan = ir.Constant(_DOUBLE, math.nan)
         return builder.select(
-            positive, arguments[1], splat(builder, nan) if kind is _VECTOR else nan
+            positive, arguments[1], _splat(builder, nan) if kind is _VECTOR else nan
         )
 
     kind = ROW if condition is ROW else types.float64
@@ -196,7 +224,7 @@ def rough_inverse_cube_root(_typing, x):
 
         def constant(value):
             number = ir.Constant(_DOUBLE, value)
-            return splat(builder, number) if is_row else number
+            return _splat(builder, number) if is_row else number
 
         bits = builder.sitofp(builder.bitcast(arguments[0], integer), kind)
         third = builder.fmul(bits, constant(-1.0 / 3.0))
@@ -216,10 +244,10 @@ def _address(context, builder, array_type, array, index):
     return builder.gep(data, [index])
 
 
-def _row_address(context, builder, array_type, array, row):
-    index = builder.mul(row, ir.Constant(_INT64, LANES))
+def _row_address(context, builder, array_type, array, row, kind=_VECTOR):
+    index = builder.mul(row, ir.Constant(_INT64, kind.count))
     address = _address(context, builder, array_type, array, index)
-    return builder.bitcast(address, _VECTOR.as_pointer())
+    return builder.bitcast(address, kind.as_pointer())
 
 
 @intrinsic
@@ -246,6 +274,31 @@ def store(_typing, rows, i, row):
 
 
 @intrinsic
+def load_line(_typing, lines, i):
+    """Line i of a C-contiguous array ``(n, 4)``."""
+
+    def generate(context, builder, signature, arguments):
+        array, i = arguments
+        address = _row_address(context, builder, signature.args[0], array, i, _SHORT_VECTOR)
+        return builder.load(address, align=8)
+
+    return LINE(lines, types.intp), generate
+
+
+@intrinsic
+def store_line(_typing, lines, i, line):
+    """Overwrite line i of a C-contiguous array ``(n, 4)``."""
+
+    def generate(context, builder, signature, arguments):
+        array, i, line = arguments
+        address = _row_address(context, builder, signature.args[0], array, i, _SHORT_VECTOR)
+        builder.store(line, address, align=8)
+        return context.get_dummy_value()
+
+    return types.void(lines, types.intp, LINE), generate
+
+
+@intrinsic
 def number_at(_typing, numbers, i):
     """Element i of a C-contiguous array, counted through."""
 
@@ -253,19 +306,6 @@ def number_at(_typing, numbers, i):
         return builder.load(_address(context, builder, signature.args[0], *arguments))
 
     return types.float64(numbers, types.intp), generate
-
-
-@intrinsic
-def add_at(_typing, numbers, i, number):
-    """Add to element i of a C-contiguous array, counted through."""
-
-    def generate(context, builder, signature, arguments):
-        array, i, number = arguments
-        address = _address(context, builder, signature.args[0], array, i)
-        builder.store(builder.fadd(builder.load(address), number), address)
-        return context.get_dummy_value()
-
-    return types.void(numbers, types.intp, types.float64), generate
 
 
 @intrinsic
@@ -384,7 +424,7 @@ def _type_setitem(_context):
 @lower_builtin(operator.setitem, TENSORS, types.BaseTuple, types.Any)
 def _setitem(context, builder, signature, arguments):
     tensor, index, value = arguments
-    row = value if signature.args[2] is ROW else splat(builder, value)
+    row = value if signature.args[2] is ROW else _splat(builder, value)
     address = _component(context, builder, signature.args[1], tensor, index)
     builder.store(row, address, align=8)
     return context.get_dummy_value()

@@ -18,7 +18,7 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
 from fenicsmpm.basis.stencil import derivative_rows, round_off
 from fenicsmpm.points.agreement import raise_together
-from fenicsmpm.points.sorting import sort_by_cell
+from fenicsmpm.points.sorting import sort_by_number
 
 if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
@@ -170,7 +170,7 @@ class LatticeStencil:
             scale = 1.0 / lattice.spacing
             group = np.empty(len(points), dtype=np.int32)
             _find_boxes(points.x, points.cell, lattice.lower, scale, self._group_of, group)
-        self._order, self._offsets = sort_by_cell(group, len(self._nodes))
+        self._order, self._offsets = sort_by_number(group, len(self._nodes))
 
     def n_functions(self, element: Any) -> int:
         """Number of functions that a group sees, whatever the scalar element."""

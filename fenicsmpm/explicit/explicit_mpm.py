@@ -23,6 +23,7 @@ from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.fbar import FBar, default_fbar
 from fenicsmpm.explicit.parts import Load, Part
+from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
@@ -31,7 +32,7 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 logger = logging.getLogger(__name__)
 
 # Steps after which cells are found and points sorted: more would cost time, as would fewer
-STEPS_OF_A_BLOCK = 50
+STEPS_OF_A_BLOCK = 100
 
 
 class UnstableError(RuntimeError):
@@ -136,7 +137,9 @@ class ExplicitMPM:
         self.reaction = np.zeros(3)
         self.seconds = Stopwatch()
         threads, size = numba.get_num_threads(), self._nodes.size
-        self._rows, self._averages = grid.empty_rows(threads, size), np.zeros((threads, size))
+        self._rows = grid.empty_rows(threads, size, LANES)
+        self._averages = grid.empty_rows(threads, size, LINE_LANES)
+        self._sums = np.zeros(size)
         self._cfl, self._given_dt, self._unsorted, self._warned = cfl, dt, 0, False
         self._fixed = grid.constraints(self._nodes, V, self.bcs)
         masses = [float(np.min(body["mass"], initial=np.inf)) for body in self.bodies]
@@ -213,7 +216,7 @@ class ExplicitMPM:
             self._unsorted += steps
             sort = self._unsorted >= STEPS_OF_A_BLOCK
             for part in self._parts:
-                part.settle(sort)
+                part.settle(self._nodes, sort)
             for load in self._loads:
                 load.settle()
             if sort:
@@ -226,7 +229,7 @@ class ExplicitMPM:
             self._fixed = grid.constraints(nodes, self.V, self.bcs)
         with clock("nodes"):
             self._move_nodes()
-            averages[:] = 0.0
+            grid.clear(averages)
         with clock("gather"):
             bad = [
                 part.gather(rows[0], averages, nodes, self.dt, self.flip) for part in self._parts
@@ -234,10 +237,9 @@ class ExplicitMPM:
             self._hold_back()
             self._raise_if(bad)
         with clock("nodes"):
-            grid.sum_averages(averages)
-            self._add_ranks(averages[0])
-            grid.average_nodes(rows[0], averages[0])
-            grid.clear(rows)
+            grid.sum_averages(averages, self._sums)
+            self._add_ranks(self._sums)
+            grid.average_nodes(rows, self._sums, averages[0])
         with clock("finish"):
             for part in self._parts:
                 part.finish(averages[0], nodes, again, rows)

@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import Lattice
-from fenicsmpm.lanes import LANES
+from fenicsmpm.lanes import LANES, LINE_LANES
 
 
 class Nodes(NamedTuple):
@@ -48,6 +48,11 @@ class Nodes(NamedTuple):
         return np.asarray(numbers, dtype=np.int64)
 
 
+    def nearest(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        """Numbers of the nodes next to positions ``(n, d)`` [m]."""
+        return _nearest(self, np.ascontiguousarray(x))
+
+
 def nodes_of(lattice: Lattice) -> Nodes:
     """Nodes of a lattice."""
     dim = len(lattice.spacing)
@@ -56,6 +61,18 @@ def nodes_of(lattice: Lattice) -> Nodes:
     per_metre[:dim] = 1.0 / lattice.spacing
     shape[:dim] = lattice.shape + 1
     return Nodes(origin, per_metre, shape)
+
+
+@numba.njit(cache=True)
+def _nearest(nodes, x):
+    numbers = np.empty(len(x), np.int64)
+    for p in range(len(x)):
+        number = np.int64(0)
+        for k in range(x.shape[1]):
+            t = (x[p, k] - nodes.origin[k]) * nodes.per_metre[k]
+            number = number * nodes.shape[k] + int(t + 0.5)
+        numbers[p] = number
+    return numbers
 
 
 class Constraints(NamedTuple):
@@ -93,12 +110,12 @@ def constraints(nodes: Nodes, V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) 
     )
 
 
-def empty_rows(threads: int, nodes: int) -> npt.NDArray[np.float64]:
-    """``(threads, nodes, 8)`` zeros, each row in one cache line."""
-    size = threads * nodes * LANES
+def empty_rows(threads: int, nodes: int, lanes: int) -> npt.NDArray[np.float64]:
+    """``(threads, nodes, lanes)`` zeros, each row or line within a cache line."""
+    size = threads * nodes * lanes
     memory = np.zeros(size + LANES)
     skip = (-memory.ctypes.data // memory.itemsize) % LANES
-    return memory[skip : skip + size].reshape(threads, nodes, LANES)
+    return memory[skip : skip + size].reshape(threads, nodes, lanes)
 
 
 @numba.njit(cache=True, parallel=True)
@@ -120,11 +137,19 @@ def sum_threads(rows):
 
 
 @numba.njit(cache=True, parallel=True)
-def sum_averages(averages):
-    """Add the averages of all threads to those of the first."""
-    for n in numba.prange(averages.shape[1]):
-        for t in range(1, averages.shape[0]):
-            averages[0, n] += averages[t, n]
+def sum_averages(lines, sums):
+    """Add up the lines ``(threads, nodes, 4)`` of averages to ``(nodes,)``."""
+    head = LINE_LANES - 1
+    for n in numba.prange(len(sums)):
+        total = 0.0
+        for t in range(lines.shape[0]):
+            if n >= head:  # without an inner loop it is four times faster
+                total += lines[t, n, 0] + lines[t, n - 1, 1] + lines[t, n - 2, 2]
+                total += lines[t, n - 3, 3]
+            else:
+                for c in range(n + 1):
+                    total += lines[t, n - c, c]
+        sums[n] = total
 
 
 @numba.njit(cache=True, parallel=True)
@@ -173,9 +198,19 @@ def constrain(rows, nodes, components, values):
 
 
 @numba.njit(cache=True, parallel=True)
-def average_nodes(rows, averages):
-    """Volume-averaged J at the nodes (F-bar, eq. 19) from its sums."""
-    for n in numba.prange(len(rows)):
-        volume = rows[n, 4]
+def average_nodes(rows, sums, lines):
+    """Volume-averaged J at the nodes (F-bar, eq. 19) from its sums, in lines ``(nodes, 4)``.
+
+    The rows ``(threads, nodes, 8)`` are cleared for the next step.
+    """
+    for n in numba.prange(len(sums)):
+        volume = rows[0, n, 4]
         # nodes at the edge of a point's support may have neither volume nor J
-        averages[n] = averages[n] / volume if volume > 0.0 else 0.0
+        sums[n] = sums[n] / volume if volume > 0.0 else 0.0
+        for t in range(rows.shape[0]):
+            for i in range(LANES):
+                rows[t, n, i] = 0.0
+    last = len(sums) - 1
+    for n in numba.prange(len(sums)):
+        for c in range(LINE_LANES):
+            lines[n, c] = sums[min(n + c, last)]

@@ -9,6 +9,7 @@ direction has one node.
 
 A row of the grid holds, of a node, ``(m, m v_x, m v_y, m v_z, V, f_x, f_y, f_z)`` before its
 update and ``(m, v_x, v_y, v_z, V, dv_x, dv_y, dv_z)`` after it, with the increments dv of velocity.
+Averages of J have a line of four numbers a node: of the node itself and of those after it.
 
 References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit material
 point methods" (F-bar).
@@ -30,16 +31,19 @@ from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
 from fenicsmpm.lanes import (
     LANES,
-    add_at,
+    LINE_LANES,
     add_scaled,
     between,
     load,
     load_column,
+    load_line,
     number_at,
     store,
     store_column,
+    store_line,
     tensors,
     works_on_rows,
+    zero_line,
     zeros,
 )
 from fenicsmpm.materials.tensors import cube_root
@@ -48,8 +52,8 @@ _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
 _parallel = numba.njit(parallel=True)
 
-# a point has four lines of eight numbers: so far apart are the same numbers of two points
-_LINE = 4 * LANES
+# numbers of the lines of a block, one line of each of its points
+_LINES = LANES * LANES
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
 
 
@@ -124,19 +128,19 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
         row ``first`` on. Each line is in memory before it is loaded: faster than in registers.
         """
         m = load(body.mass, block)
-        store_column(lines, 0, _LINE, m)
-        store_column(lines, 4, _LINE, V)
+        store_column(lines, 0, LANES, m)
+        store_column(lines, 4, LANES, V)
         for k in range(dim):
-            store_column(lines, 1 + k, _LINE, m * load(body.v, block * dim + k))
+            store_column(lines, 1 + k, LANES, m * load(body.v, block * dim + k))
             for j in range(dim):
                 force = -V * load(s, first + 3 * j + k)
-                store_column(lines, (1 + k) * LANES + 5 + j, _LINE, force)
+                store_column(lines, (1 + k) * _LINES + 5 + j, LANES, force)
 
     @_inline
     def add_to_nodes(i, base, far, near, w, d, lines, rows):
         """Add the i-th point of a block to its nodes."""
-        value, by_x, by_y = load(lines, 4 * i), load(lines, 4 * i + 1), load(lines, 4 * i + 2)
-        by_z = load(lines, 4 * i + 3)
+        value, by_x, by_y = load(lines, i), load(lines, LANES + i), load(lines, 2 * LANES + i)
+        by_z = load(lines, 3 * LANES + i)
         for a in range(width):
             w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
             value_a = add_scaled(w_a * value, d_a, by_x)
@@ -198,11 +202,15 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
             by_y = add_scaled(by_y, w_a, y_a)
             if dim == 3:
                 by_z = add_scaled(by_z, w_a, z_a)
-        store(lines, 4 * i, value)
-        store(lines, 4 * i + 1, by_x)
-        store(lines, 4 * i + 2, by_y)
+        store(lines, i, value)
+        store(lines, LANES + i, by_x)
+        store(lines, 2 * LANES + i, by_y)
         if dim == 3:
-            store(lines, 4 * i + 3, by_z)
+            store(lines, 3 * LANES + i, by_z)
+
+    @_inline
+    def add_line(lines, node, factor, line):
+        store_line(lines, node, add_scaled(load_line(lines, node), factor, line))
 
     @_njit
     def gather(first, last, nodes, half, body, rows, dt, flip, average, r, averages):
@@ -214,6 +222,7 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         f, shares, lines = np.empty((9, LANES)), np.empty((1, LANES)), np.empty((4 * LANES, LANES))
+        last_w = np.zeros((LANES, LINE_LANES))
         far, near = strides(nodes)
         bad = np.int64(-1)
         for block in range(first, last):
@@ -224,17 +233,18 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
             good = True
             for j in range(dim):
                 # eqs. 11-13 and 17
-                velocity = load_column(lines, 1 + j, _LINE)
-                increment = load_column(lines, 5 + j, _LINE)
+                velocity = load_column(lines, 1 + j, LANES)
+                increment = load_column(lines, 5 + j, LANES)
                 x_next = load(body.x, vector + j) + dt * velocity
                 in_flip = load(body.v, vector + j) + increment
                 store(body.x_next, vector + j, x_next)
                 store(body.v, vector + j, flip * in_flip + (1.0 - flip) * velocity)
                 t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
                 good &= between(t, 0, nodes.shape[j] - 1)
-                # eq. 16
-                for k in range(dim):
-                    rate = load_column(lines, (1 + k) * LANES + 1 + j, _LINE)
+            # eq. 16
+            for k in range(dim):
+                for j in range(dim):
+                    rate = load_column(lines, (1 + k) * _LINES + 1 + j, LANES)
                     if rates:
                         store(body.L, tensor + j * dim + k, rate)
                     store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
@@ -256,37 +266,38 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
                 # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
                 share = J * ((1.0 - r) * load(body.J_bar, block) + r * J_old)
                 store(shares, 0, load(body.V_0, block) * share)
+                for c in range(width):
+                    store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
                 for i in range(LANES):
+                    weights = load_line(last_w, i)
                     for a in range(width):
                         share_a = shares[0, i] * number_at(w, a * LANES + i)
-                        for b in range(width):
-                            share_b = share_a * number_at(w, (width + b) * LANES + i)
-                            node = base[i] + a * far + b * near
-                            if dim == 2:
-                                add_at(averages, node, share_b)
-                            else:
-                                for c in range(depth):
-                                    w_c = number_at(w, (2 * width + c) * LANES + i)
-                                    add_at(averages, node + c, share_b * w_c)
+                        if dim == 2:
+                            add_line(averages, base[i] + a * far, share_a, weights)
+                        else:
+                            for b in range(width):
+                                share_b = share_a * number_at(w, (width + b) * LANES + i)
+                                add_line(averages, base[i] + a * far + b * near, share_b, weights)
         return bad
 
     @_inline
-    def mean(i, base, far, near, w, averages):
-        """Averaged J at the i-th point of a block."""
-        total = 0.0
-        for a in range(width):
-            by_a = 0.0
-            for b in range(width):
-                node = base[i] + a * far + b * near
+    def means(base, far, near, w, averages, lines):
+        """Averaged J at the points of a block."""
+        for i in range(LANES):
+            total = zero_line()
+            for a in range(width):
+                w_a = number_at(w, a * LANES + i)
                 if dim == 2:
-                    line = number_at(averages, node)
+                    total = add_scaled(total, w_a, load_line(averages, base[i] + a * far))
                 else:
-                    line = 0.0
-                    for c in range(depth):
-                        w_c = number_at(w, (2 * width + c) * LANES + i)
-                        line += w_c * number_at(averages, node + c)
-                by_a += number_at(w, (width + b) * LANES + i) * line
-            total += number_at(w, a * LANES + i) * by_a
+                    for b in range(width):
+                        w_b = w_a * number_at(w, (width + b) * LANES + i)
+                        node = base[i] + a * far + b * near
+                        total = add_scaled(total, w_b, load_line(averages, node))
+            store_line(lines, i, total)
+        total = zeros()
+        for c in range(width):
+            total += load_column(lines, c, LINE_LANES) * load(w, (dim - 1) * width + c)
         return total
 
     @_inline
@@ -313,7 +324,7 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         F_bar, rate, stress = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
         F_bar[8] = 1.0
-        means, lines = np.empty((1, LANES)), np.zeros((4 * LANES, LANES))
+        lines, average_lines = np.zeros((4 * LANES, LANES)), np.empty((LANES, LINE_LANES))
         far, near = strides(nodes)
         for block in range(first, last):
             tensor = block * dim * dim
@@ -321,9 +332,7 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
             scale = 1.0 + zeros()
             if average:
                 fill(body.x, block, nodes, half, base, w, d)
-                for i in range(LANES):
-                    means[0, i] = mean(i, base, far, near, w, averages)
-                J_bar = load(means, 0)
+                J_bar = means(base, far, near, w, averages, average_lines)
                 J_star = J + s * (J_bar - J) if s > 0.0 else J
                 if s > 0.0:
                     shrink = root(J_star / J)

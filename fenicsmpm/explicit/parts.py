@@ -141,8 +141,11 @@ class Part:
         )
         self._body = body._replace(x=body.x_next, x_next=body.x)
 
-    def settle(self, sort: bool) -> None:
-        """Give the points what has changed, and bring their cells up to date (collective)."""
+    def settle(self, nodes: Nodes, sort: bool) -> None:
+        """Give the points what has changed, and bring their cells up to date (collective).
+
+        If ``sort``, points with the same nodes come to stand one after the other.
+        """
         points, body, d = self.points, self._body, self._dim
         n = len(points)
         x = out_of_blocks(body.x, n, (d,))
@@ -163,7 +166,7 @@ class Part:
         )
         points.move(x)
         if sort:
-            points.sort()
+            points.sort(nodes.nearest(points.x))
 
     def describe(self, block: int, nodes: Nodes) -> str:
         """What is wrong with a point of a block, and where it is."""

@@ -25,7 +25,7 @@ from fenicsmpm.points.description import describe
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import find_cells, send_home
 from fenicsmpm.points.point_field import PointField
-from fenicsmpm.points.sorting import sort_by_cell
+from fenicsmpm.points.sorting import sort_by_number
 
 Selection: TypeAlias = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -267,12 +267,17 @@ class MaterialPoints:
 
     def _sorted(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         if self._order is None:
-            self._order = sort_by_cell(self._data["cell"], self.geometry.num_cells)
+            self._order = sort_by_number(self._data["cell"], self.geometry.num_cells)
         return self._order
 
-    def sort(self) -> None:
-        """Store the points by cell, so that loops over cells run through memory in order."""
-        self._replace(self._rows(self.order))
+    def sort(self, by: npt.NDArray[np.integer] | None = None) -> None:
+        """Store the points in an order in which loops run through memory.
+
+        Args:
+            by: Numbers from 0 whose order it is, shape (n,); the points' cells if not given.
+        """
+        order = self.order if by is None else sort_by_number(by, int(by.max(initial=-1)) + 1)[0]
+        self._replace(self._rows(order))
 
     # --- changes --------------------------------------------------------------------------------
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Points by cell."""
+"""Points by cell, or by another number."""
 
 import numba
 import numpy as np
@@ -7,27 +7,27 @@ import numpy.typing as npt
 
 
 @numba.njit(cache=True)
-def sort_by_cell(
-    cell: npt.NDArray[np.int32], num_cells: int
+def sort_by_number(
+    number: npt.NDArray[np.integer], count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Stable counting sort of points by cell.
+    """Stable counting sort.
 
     Args:
-        cell: Cell of each point, shape (n,).
-        num_cells: Number of cells.
+        number: Of each point, such as its cell, shape (n,).
+        count: How many numbers there are, from 0.
 
     Returns:
-        order (n,) and offsets (num_cells + 1,), both int64: the points of cell c are
+        order (n,) and offsets (count + 1,), both int64: the points with number c are
         order[offsets[c]:offsets[c + 1]].
     """
-    offsets = np.zeros(num_cells + 1, dtype=np.int64)
-    for c in cell:
+    offsets = np.zeros(count + 1, dtype=np.int64)
+    for c in number:
         offsets[c + 1] += 1
-    for c in range(num_cells):
+    for c in range(count):
         offsets[c + 1] += offsets[c]
     position = offsets[:-1].copy()
-    order = np.empty(len(cell), dtype=np.int64)
-    for p in range(len(cell)):
-        order[position[cell[p]]] = p
-        position[cell[p]] += 1
+    order = np.empty(len(number), dtype=np.int64)
+    for p in range(len(number)):
+        order[position[number[p]]] = p
+        position[number[p]] += 1
     return order, offsets
