@@ -110,7 +110,9 @@ def _define(function, count, build):
 
     def generate(context, builder, signature, arguments):
         vectors = [
-            value if kind is ROW else _splat(builder, context.cast(builder, value, kind, types.float64))
+            value
+            if kind is ROW
+            else _splat(builder, context.cast(builder, value, kind, types.float64))
             for kind, value in zip(signature.args, arguments, strict=True)
         ]
         return build(builder, *vectors)

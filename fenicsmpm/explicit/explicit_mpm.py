@@ -23,8 +23,8 @@ from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.fbar import FBar, default_fbar
 from fenicsmpm.explicit.parts import Load, Part
-from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.formulations.time_scheme import check_time_step
+from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.stopwatch import Stopwatch
@@ -277,7 +277,8 @@ class ExplicitMPM:
             comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
 
     def _raise_if(self, bad: list[int]) -> None:
-        found = [part.describe(block, self._nodes)
+        found = [
+            part.describe(block, self._nodes)
             for part, block in zip(self._parts, bad, strict=True)
             if block >= 0
         ]

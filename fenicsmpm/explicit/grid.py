@@ -47,7 +47,6 @@ class Nodes(NamedTuple):
         numbers = np.ravel_multi_index(tuple(index.T), tuple(self.shape))
         return np.asarray(numbers, dtype=np.int64)
 
-
     def nearest(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         """Numbers of the nodes next to positions ``(n, d)`` [m]."""
         return _nearest(self, np.ascontiguousarray(x))

@@ -183,7 +183,9 @@ class Part:
         what = (
             "is inverted"
             if J[i] <= 0
-            else "leaves the lattice" if np.isfinite(J[i]) else "is not finite"
+            else "leaves the lattice"
+            if np.isfinite(J[i])
+            else "is not finite"
         )
         return f"point {ids[i]} {what} at {where} with J = {J[i]:g}"
 

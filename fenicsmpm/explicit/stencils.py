@@ -153,7 +153,9 @@ def _functions(kind: int) -> Any:
         @_inline
         def inside(t, cells, half):
             node = math.floor(t + 0.5)
-            values, slopes = quadratic_inside(t - node) if is_spline else gimp_inside(t - node, half)
+            values, slopes = (
+                quadratic_inside(t - node) if is_spline else gimp_inside(t - node, half)
+            )
             return node - 1.0, values, slopes, between(node, 1, cells - 1)
 
         @_inline

@@ -12,6 +12,7 @@ from fenicsmpm.materials.tensors import (
     compose,
     eigen,
     inverse,
+    log_of_one_plus,
     metric_change,
     rows,
     volume_change,
@@ -29,9 +30,9 @@ def deviatoric_strain(b):  # type: ignore[no-untyped-def]
         Three values [-], and a tuple of 9 with the directions in its columns.
     """
     change, n = eigen(b)
-    e1 = 0.5 * math.log1p(change[0])
-    e2 = 0.5 * math.log1p(change[1])
-    e3 = 0.5 * math.log1p(change[2])
+    e1 = 0.5 * log_of_one_plus(change[0])
+    e2 = 0.5 * log_of_one_plus(change[1])
+    e3 = 0.5 * log_of_one_plus(change[2])
     mean = (e1 + e2 + e3) / 3
     return (e1 - mean, e2 - mean, e3 - mean), n
 
@@ -119,19 +120,19 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     change = volume_change(F)
     e, n = deviatoric_strain(metric_change(F))
     s = (2 * mu * e[0], 2 * mu * e[1], 2 * mu * e[2])
-    set_cauchy_stress(sigma, kappa * math.log1p(change), s, n, 1 + change)
+    set_cauchy_stress(sigma, kappa * log_of_one_plus(change), s, n, 1 + change)
 
 
 @compiled
 def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
     e, _ = deviatoric_strain(metric_change(F))
-    return stored_energy(parameters[0], parameters[1], math.log1p(volume_change(F)), e)
+    return stored_energy(parameters[0], parameters[1], log_of_one_plus(volume_change(F)), e)
 
 
 @compiled
 def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
     e, n = deviatoric_strain(metric_change(F))
-    log_j = math.log1p(volume_change(F))
+    log_j = log_of_one_plus(volume_change(F))
     set_tangent(F, log_j, e, n, parameters[0], parameters[1], 0.0, dPdF)
 
 

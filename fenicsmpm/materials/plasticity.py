@@ -19,6 +19,7 @@ from fenicsmpm.materials.tensors import (
     compose,
     congruence,
     inverse,
+    log_of_one_plus,
     metric_change,
     rows,
     volume_change,
@@ -83,7 +84,7 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
 def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mu, kappa = parameters[0], parameters[1]
     change = volume_change(F)
-    log_j = math.log1p(change)
+    log_j = log_of_one_plus(change)
     e, n = _trial_strain(F, state)
     q = _equivalent_stress(mu, e)
     d = _plastic_increment(q, state[_EPS_P], parameters)
@@ -115,7 +116,7 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
 @compiled
 def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
     e, _ = _trial_strain(F, state)
-    elastic = stored_energy(parameters[0], parameters[1], math.log1p(volume_change(F)), e)
+    elastic = stored_energy(parameters[0], parameters[1], log_of_one_plus(volume_change(F)), e)
     return elastic + 0.5 * parameters[5] * state[_EPS_P] ** 2
 
 
@@ -131,7 +132,7 @@ def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
         factor = 1 - 3 * mu * d / q
         slope = yield_stress(state[_EPS_P] + d, parameters)[1]
         c = 36 * mu**4 / q**2 * (d / q - 1 / (3 * mu + slope))
-    log_j = math.log1p(volume_change(F))
+    log_j = log_of_one_plus(volume_change(F))
     set_tangent(F, log_j, e, n, factor * mu, parameters[1], c, dPdF)
 
 
