@@ -80,7 +80,7 @@ def _call(builder, name, kind, *arguments):
     return builder.call(function, arguments)
 
 
-# --- operators and functions of the language -------------------------------------------------------
+# --- operators and functions of the language -----------------------------------------------------
 
 
 def _is_row_function(arguments):
@@ -141,7 +141,7 @@ _define(min, 2, lambda b, x, y: _call(b, "minnum", _VECTOR, x, y))
 _define(max, 2, lambda b, x, y: _call(b, "maxnum", _VECTOR, x, y))
 
 
-# --- what the language does not have ---------------------------------------------------------------
+# --- what the language does not have -------------------------------------------------------------
 
 
 @intrinsic
@@ -237,7 +237,7 @@ def rough_inverse_cube_root(_typing, x):
     return kind(kind), generate
 
 
-# --- memory ----------------------------------------------------------------------------------------
+# --- memory --------------------------------------------------------------------------------------
 
 
 def _address(context, builder, array_type, array, index):
@@ -355,7 +355,7 @@ def store_integers(_typing, integers, row):
     return types.void(integers, ROW), generate
 
 
-# --- tensors ---------------------------------------------------------------------------------------
+# --- tensors -------------------------------------------------------------------------------------
 
 
 class TensorsType(types.Type):
