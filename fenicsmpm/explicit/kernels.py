@@ -305,13 +305,14 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
         return math.sqrt(x) if dim == 2 else cube_root(x)
 
     @_inline
-    def one_by_one(block, F, L, body, stress):
-        """Stresses of a block by a law for one point."""
-        F_i, L_i, sigma = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    def one_by_one(block, F, L, body, F_i, L_i, sigma, stress):
+        """Stresses of a block by a law for one point, with three work arrays (3, 3)."""
         for i in range(LANES):
             for j in range(3):
                 for k in range(3):
-                    F_i[j, k], L_i[j, k] = F[3 * j + k, i], L[3 * j + k, i]
+                    F_i[j, k] = F[3 * j + k, i]
+                    if rates:
+                        L_i[j, k] = L[3 * j + k, i]
             update(F_i, L_i, body.parameters, body.state[block * LANES + i], sigma)
             for j in range(3):
                 for k in range(3):
@@ -323,6 +324,7 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         F_bar, rate, stress = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
+        F_i, L_i, sigma_i = np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
         F_bar[8] = 1.0
         lines, average_lines = np.zeros((4 * LANES, LANES)), np.empty((LANES, LINE_LANES))
         far, near = strides(nodes)
@@ -357,7 +359,7 @@ def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> 
                 nothing = body.state[0]
                 update(tensors(F_bar), tensors(rate), body.parameters, nothing, tensors(stress))
             else:
-                one_by_one(block, F_bar, rate, body, stress)
+                one_by_one(block, F_bar, rate, body, F_i, L_i, sigma_i, stress)
             if again:
                 pack(block, body, J * load(body.V_0, block), stress, 0, lines)
                 fill(body.x_next, block, nodes, half, base, w, d)

@@ -9,11 +9,13 @@ import numpy as np
 
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
 from fenicsmpm.materials.tensors import (
-    compose,
+    deviator,
     eigen,
     inverse,
     log_of_one_plus,
+    logarithm,
     metric_change,
+    norm_squared,
     rows,
     volume_change,
 )
@@ -21,14 +23,14 @@ from fenicsmpm.materials.tensors import (
 
 @compiled
 def deviatoric_strain(b):  # type: ignore[no-untyped-def]
-    """Principal values and directions of the deviatoric logarithmic strain 1/2 dev(ln b).
+    """Deviatoric logarithmic strain 1/2 dev(ln b), a symmetric tensor, of the tensor b - I."""
+    h11, h22, h33, h12, h13, h23 = deviator(logarithm(b))
+    return 0.5 * h11, 0.5 * h22, 0.5 * h33, 0.5 * h12, 0.5 * h13, 0.5 * h23
 
-    Args:
-        b: symmetric tensor b - I.
 
-    Returns:
-        Three values [-], and a tuple of 9 with the directions in its columns.
-    """
+@compiled
+def principal_deviatoric_strain(b):  # type: ignore[no-untyped-def]
+    """As ``deviatoric_strain``: three values [-], and a tuple of 9 with directions in columns."""
     change, n = eigen(b)
     e1 = 0.5 * log_of_one_plus(change[0])
     e2 = 0.5 * log_of_one_plus(change[1])
@@ -38,22 +40,22 @@ def deviatoric_strain(b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def set_cauchy_stress(sigma, mean, s, n, jacobian):  # type: ignore[no-untyped-def]
-    """Set sigma to (mean I + s) / J, with principal values s in directions n."""
-    t11, t22, t33, t12, t13, t23 = compose(s, n)
+def set_cauchy_stress(sigma, mean, two_mu, e, jacobian):  # type: ignore[no-untyped-def]
+    """Set sigma to (mean I + 2 mu e) / J, with a deviatoric strain e."""
     r = 1 / jacobian
-    sigma[0, 0] = r * (t11 + mean)
-    sigma[1, 1] = r * (t22 + mean)
-    sigma[2, 2] = r * (t33 + mean)
-    sigma[0, 1] = sigma[1, 0] = r * t12
-    sigma[0, 2] = sigma[2, 0] = r * t13
-    sigma[1, 2] = sigma[2, 1] = r * t23
+    s = r * two_mu
+    sigma[0, 0] = s * e[0] + r * mean
+    sigma[1, 1] = s * e[1] + r * mean
+    sigma[2, 2] = s * e[2] + r * mean
+    sigma[0, 1] = sigma[1, 0] = s * e[3]
+    sigma[0, 2] = sigma[2, 0] = s * e[4]
+    sigma[1, 2] = sigma[2, 1] = s * e[5]
 
 
 @compiled
 def stored_energy(mu, kappa, log_j, e):  # type: ignore[no-untyped-def]
-    """kappa/2 (ln J)^2 + mu e : e per initial volume, with deviatoric principal strains e."""
-    return 0.5 * kappa * log_j**2 + mu * (e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
+    """kappa/2 (ln J)^2 + mu e : e per initial volume, with a deviatoric strain e."""
+    return 0.5 * kappa * log_j**2 + mu * norm_squared(e)
 
 
 @compiled
@@ -118,20 +120,19 @@ def set_tangent(F, log_j, e, n, mu, kappa, c, dPdF):  # type: ignore[no-untyped-
 def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mu, kappa = parameters[0], parameters[1]
     change = volume_change(F)
-    e, n = deviatoric_strain(metric_change(F))
-    s = (2 * mu * e[0], 2 * mu * e[1], 2 * mu * e[2])
-    set_cauchy_stress(sigma, kappa * log_of_one_plus(change), s, n, 1 + change)
+    e = deviatoric_strain(metric_change(F))
+    set_cauchy_stress(sigma, kappa * log_of_one_plus(change), 2 * mu, e, 1 + change)
 
 
 @compiled
 def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
-    e, _ = deviatoric_strain(metric_change(F))
+    e = deviatoric_strain(metric_change(F))
     return stored_energy(parameters[0], parameters[1], log_of_one_plus(volume_change(F)), e)
 
 
 @compiled
 def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
-    e, n = deviatoric_strain(metric_change(F))
+    e, n = principal_deviatoric_strain(metric_change(F))
     log_j = log_of_one_plus(volume_change(F))
     set_tangent(F, log_j, e, n, parameters[0], parameters[1], 0.0, dPdF)
 

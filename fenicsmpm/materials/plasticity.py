@@ -10,17 +10,20 @@ import numpy as np
 
 from fenicsmpm.materials.hencky import (
     deviatoric_strain,
+    principal_deviatoric_strain,
     set_cauchy_stress,
     set_tangent,
     stored_energy,
 )
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus, positive
 from fenicsmpm.materials.tensors import (
-    compose,
     congruence,
+    cube_root,
+    exponential,
     inverse,
     log_of_one_plus,
     metric_change,
+    norm_squared,
     rows,
     volume_change,
 )
@@ -40,22 +43,20 @@ def yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _trial_strain(F, state):  # type: ignore[no-untyped-def]
-    """Deviatoric principal strains and directions of b_e = F C_p^-1 F^T."""
+def _trial(F, state):  # type: ignore[no-untyped-def]
+    """Trial elastic deformation b_e - I with b_e = F C_p^-1 F^T."""
     b = metric_change(F)
     # plus F (C_p^-1 - I) F^T
     p = congruence(
         rows(F), (state[0] - 1, state[4] - 1, state[8] - 1, state[1], state[2], state[5])
     )
-    return deviatoric_strain(
-        (b[0] + p[0], b[1] + p[1], b[2] + p[2], b[3] + p[3], b[4] + p[4], b[5] + p[5])
-    )
+    return b[0] + p[0], b[1] + p[1], b[2] + p[2], b[3] + p[3], b[4] + p[4], b[5] + p[5]
 
 
 @compiled
-def _equivalent_stress(mu, e):  # type: ignore[no-untyped-def]
-    """Von Mises stress sqrt(3/2) |2 mu e|."""
-    return mu * math.sqrt(6 * (e[0] ** 2 + e[1] ** 2 + e[2] ** 2))
+def _equivalent_stress(mu, ee):  # type: ignore[no-untyped-def]
+    """Von Mises stress sqrt(3/2) |2 mu e| of a deviatoric strain with ee = e : e."""
+    return mu * math.sqrt(6 * ee)
 
 
 @compiled
@@ -85,37 +86,32 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mu, kappa = parameters[0], parameters[1]
     change = volume_change(F)
     log_j = log_of_one_plus(change)
-    e, n = _trial_strain(F, state)
-    q = _equivalent_stress(mu, e)
+    e = deviatoric_strain(_trial(F, state))
+    q = _equivalent_stress(mu, norm_squared(e))
     d = _plastic_increment(q, state[_EPS_P], parameters)
     if d > 0:
-        factor = 1 - 3 * mu * d / q
-        e = (factor * e[0], factor * e[1], factor * e[2])
+        f = 1 - 3 * mu * d / q
+        e = (f * e[0], f * e[1], f * e[2], f * e[3], f * e[4], f * e[5])
         state[_EPS_P] += d
         value, _ = yield_stress(state[_EPS_P], parameters)
         state[_DISSIPATION] += (value - parameters[5] * state[_EPS_P]) * d
         # C_p^-1 = F^-1 b_e F^-T; its volume comes from J, so that errors do not add up
-        stretch = math.exp(2 * log_j / 3)
-        b = compose(
-            (
-                stretch * math.exp(2 * e[0]),
-                stretch * math.exp(2 * e[1]),
-                stretch * math.exp(2 * e[2]),
-            ),
-            n,
+        root = cube_root(1 + change)
+        r = root * root
+        b = exponential((2 * e[0], 2 * e[1], 2 * e[2], 2 * e[3], 2 * e[4], 2 * e[5]))
+        c = congruence(
+            inverse(rows(F)), (r * b[0], r * b[1], r * b[2], r * b[3], r * b[4], r * b[5])
         )
-        c = congruence(inverse(rows(F)), b)
         state[0], state[4], state[8] = c[0], c[1], c[2]
         state[1] = state[3] = c[3]
         state[2] = state[6] = c[4]
         state[5] = state[7] = c[5]
-    s = (2 * mu * e[0], 2 * mu * e[1], 2 * mu * e[2])
-    set_cauchy_stress(sigma, kappa * log_j, s, n, 1 + change)
+    set_cauchy_stress(sigma, kappa * log_j, 2 * mu, e, 1 + change)
 
 
 @compiled
 def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
-    e, _ = _trial_strain(F, state)
+    e = deviatoric_strain(_trial(F, state))
     elastic = stored_energy(parameters[0], parameters[1], log_of_one_plus(volume_change(F)), e)
     return elastic + 0.5 * parameters[5] * state[_EPS_P] ** 2
 
@@ -123,8 +119,8 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
 @compiled
 def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
     mu = parameters[0]
-    e, n = _trial_strain(F, state)
-    q = _equivalent_stress(mu, e)
+    e, n = principal_deviatoric_strain(_trial(F, state))
+    q = _equivalent_stress(mu, e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
     d = _plastic_increment(q, state[_EPS_P], parameters)
     factor, c = 1.0, 0.0
     if d > 0:

@@ -200,3 +200,82 @@ def eigen(A):  # type: ignore[no-untyped-def]
         (mean + w, mean + uu, mean + vv),
         (n[0], u[0], v[0], n[1], u[1], v[1], n[2], u[2], v[2]),
     )
+
+
+# Coefficients of powers, the highest first: 2 artanh(y) = y (2 + 2/3 y^2 + ...), and the exponential
+_LOGARITHM = tuple(2 / k for k in range(15, 0, -2))
+_EXPONENTIAL = tuple(1 / math.factorial(k) for k in range(11, -1, -1))
+
+
+@compiled
+def _times(A, B):  # type: ignore[no-untyped-def]
+    """A B of symmetric tensors with the same principal axes, a symmetric tensor."""
+    return (
+        A[0] * B[0] + A[3] * B[3] + A[4] * B[4],
+        A[3] * B[3] + A[1] * B[1] + A[5] * B[5],
+        A[4] * B[4] + A[5] * B[5] + A[2] * B[2],
+        A[0] * B[3] + A[3] * B[1] + A[4] * B[5],
+        A[0] * B[4] + A[3] * B[5] + A[4] * B[2],
+        A[3] * B[4] + A[1] * B[5] + A[5] * B[2],
+    )
+
+
+@compiled
+def _polynomial(A, coefficients):  # type: ignore[no-untyped-def]
+    """Polynomial of a symmetric tensor, by Horner's rule.
+
+    By the theorem of Cayley and Hamilton, A^3 = I_1 A^2 - I_2 A + I_3, so that any polynomial is
+    a + b A + c A^2.
+    """
+    A2 = _times(A, A)
+    first = A[0] + A[1] + A[2]
+    second = (first * first - (A2[0] + A2[1] + A2[2])) / 2
+    third = _dot((A[0], A[3], A[4]), _cross((A[3], A[1], A[5]), (A[4], A[5], A[2])))
+    a, b, c = 0.0, 0.0, 0.0
+    for coefficient in coefficients:
+        a, b, c = coefficient + third * c, a - second * c, b + first * c
+    return (
+        a + b * A[0] + c * A2[0],
+        a + b * A[1] + c * A2[1],
+        a + b * A[2] + c * A2[2],
+        b * A[3] + c * A2[3],
+        b * A[4] + c * A2[4],
+        b * A[5] + c * A2[5],
+    )
+
+
+@compiled
+def norm_squared(A):  # type: ignore[no-untyped-def]
+    """A : A of a symmetric tensor."""
+    mixed = A[3] * A[3] + A[4] * A[4] + A[5] * A[5]
+    return A[0] * A[0] + A[1] * A[1] + A[2] * A[2] + 2 * mixed
+
+
+@compiled
+def deviator(A):  # type: ignore[no-untyped-def]
+    """A - tr(A) / 3 of a symmetric tensor."""
+    mean = (A[0] + A[1] + A[2]) / 3
+    return A[0] - mean, A[1] - mean, A[2] - mean, A[3], A[4], A[5]
+
+
+@compiled
+def logarithm(A):  # type: ignore[no-untyped-def]
+    """ln(I + A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
+    if not norm_squared(A) < 0.01:
+        w, n = eigen(A)
+        values = log_of_one_plus(w[0]), log_of_one_plus(w[1]), log_of_one_plus(w[2])
+        return compose(values, n)
+    # 2 artanh(Y) with Y = A (2 I + A)^-1
+    b = (2 + A[0], A[3], A[4], A[3], 2 + A[1], A[5], A[4], A[5], 2 + A[2])
+    c = inverse(b)
+    Y = _times(A, (c[0], c[4], c[8], c[1], c[2], c[5]))
+    return _times(Y, _polynomial(_times(Y, Y), _LOGARITHM))
+
+
+@compiled
+def exponential(A):  # type: ignore[no-untyped-def]
+    """exp(A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
+    if not norm_squared(A) < 0.01:
+        w, n = eigen(A)
+        return compose((math.exp(w[0]), math.exp(w[1]), math.exp(w[2])), n)
+    return _polynomial(A, _EXPONENTIAL)
