@@ -202,7 +202,7 @@ def eigen(A):  # type: ignore[no-untyped-def]
     )
 
 
-# Coefficients of powers, the highest first: 2 artanh(y) = y (2 + 2/3 y^2 + ...), and the exponential
+# Coefficients, those of the highest powers first: 2 artanh(y) / y in powers of y^2, and exp
 _LOGARITHM = tuple(2 / k for k in range(15, 0, -2))
 _EXPONENTIAL = tuple(1 / math.factorial(k) for k in range(11, -1, -1))
 
