@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: MIT
+"""Rows of eight numbers do what numbers do."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from fenicsmpm import lanes
+from fenicsmpm.materials import (
+    Hencky,
+    NeoHookean,
+    NewtonianFluid,
+    VonMises,
+    compiled,
+)
+from fenicsmpm.materials.tensors import (
+    cube_root,
+    exponential,
+    inverse_cube_root,
+    log_of_one_plus,
+    logarithm,
+)
+
+RNG = np.random.default_rng(5)
+
+
+@compiled
+def _formulas(x, y):
+    a = x
+    a += y
+    a -= 2
+    a *= y
+    a /= 3.5
+    return (
+        x + y, 1 - x, 2 * x - y * 3, x / y, 1 / x, -x, math.sqrt(y), math.floor(10 * x),
+        min(x, 0.5), max(x, y), a,
+    )  # fmt: skip
+
+
+@njit
+def _on_rows(x, y, result):
+    values = _formulas(lanes.load(x, 0), lanes.load(y, 0))
+    for k in range(len(values)):
+        lanes.store(result, k, values[k])
+
+
+def test_formulas_give_in_each_lane_what_they_give_for_numbers():
+    x, y = RNG.normal(size=(1, 8)), RNG.uniform(0.1, 2, (1, 8))
+    result = np.empty((11, 8))
+    _on_rows(x, y, result)
+    for i in range(8):
+        expected = _formulas(x[0, i], y[0, i])
+        assert result[:, i] == pytest.approx(expected, rel=1e-14, abs=1e-14)
+
+
+@njit
+def _memory(x, integers, column, lines):
+    row = lanes.load(x, 1)
+    lanes.store_integers(integers, row)
+    lanes.store_column(column, 2, 3, row)
+    again = lanes.load_column(column, 2, 3)
+    lanes.store(x, 0, lanes.add_scaled(lanes.zeros(), 2.0, again))
+    line = lanes.add_scaled(lanes.zero_line(), 3.0, lanes.load_line(lines, 1))
+    lanes.store_line(lines, 0, line)
+    return lanes.between(row, 0, 7), lanes.between(row, 1, 7), lanes.number_at(x, 9)
+
+
+def test_rows_and_lines_in_memory():
+    x = np.vstack([np.zeros(8), np.arange(8.0)])
+    integers, column, lines = np.zeros(8, np.int64), np.zeros(26), np.arange(8.0).reshape(2, 4)
+    assert _memory(x, integers, column, lines) == (True, False, 1.0)
+    assert integers.tolist() == list(range(8))
+    assert np.flatnonzero(column).tolist() == list(range(5, 26, 3))
+    assert x[0].tolist() == (2 * np.arange(8.0)).tolist()
+    assert lines[0].tolist() == [12, 15, 18, 21]
+
+
+@njit
+def _between(x):
+    return lanes.between(lanes.load(x, 0), 0, 1)
+
+
+def test_nothing_is_between_if_a_lane_is_no_number():
+    x = np.full((1, 8), 0.5)
+    assert _between(x)
+    x[0, 3] = np.nan
+    assert not _between(x)
+
+
+@njit
+def _roots(x, result):
+    lanes.store(result, 0, cube_root(lanes.load(x, 0)))
+    lanes.store(result, 1, inverse_cube_root(lanes.load(x, 0)))
+
+
+def test_cube_roots():
+    x = np.exp(RNG.normal(scale=5, size=5000))
+    exact = x.astype(np.longdouble) ** (np.longdouble(1) / 3)
+    assert np.abs([cube_root(v) for v in x] / exact - 1).max() < 3e-16
+    assert np.abs([inverse_cube_root(v) for v in x] * exact - 1).max() < 3e-16
+    assert np.isnan([cube_root(v) for v in (0.0, -1.0, np.nan)]).all()
+    rows = np.array([[1.0, 8.0, 0.001, 1e300, 1e-300, 2.0, -1.0, 0.0]])
+    result = np.empty((2, 8))
+    _roots(rows, result)
+    for i, value in enumerate(rows[0]):
+        assert result[0, i] == pytest.approx(cube_root(value), rel=1e-15, nan_ok=True)
+        assert result[1, i] == pytest.approx(inverse_cube_root(value), rel=1e-15, nan_ok=True)
+
+
+def test_logarithm_of_a_number():
+    for x in (0.0, 1e-300, -1e-17, 3e-9, -0.0999, 0.0999, 0.1, -0.5, 7.0):
+        assert log_of_one_plus(x) == pytest.approx(math.log1p(x), rel=3e-16)
+    assert math.isnan(log_of_one_plus(-1.5))
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 0.05, 0.3, 2.0])
+@pytest.mark.parametrize("axes", ["any", "plane", "equal"])
+def test_logarithm_and_exponential_of_tensors(size, axes):
+    """On both sides of where the series end; relative errors are those of the largest value."""
+    Q = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    strains = size * np.array([1.0, -0.4, 0.3])
+    if axes == "plane":
+        Q[:] = [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]
+    elif axes == "equal":
+        strains[1] = strains[0]
+    change = Q @ np.diag(np.expm1(strains)) @ Q.T
+    result = logarithm(tuple(change[i, j] for i, j in _PAIRS))
+    expected = Q @ np.diag(strains) @ Q.T
+    assert result == pytest.approx([expected[i, j] for i, j in _PAIRS], abs=2e-15 * size)
+    result = exponential(tuple(expected[i, j] for i, j in _PAIRS))
+    expected = change + np.eye(3)
+    assert result == pytest.approx([expected[i, j] for i, j in _PAIRS], abs=4e-15 * np.exp(size))
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+@njit
+def _stresses(update, F, L, parameters, sigma):
+    nothing = parameters[:0]
+    update(lanes.tensors(F), lanes.tensors(L), parameters, nothing, lanes.tensors(sigma))
+
+
+@pytest.mark.parametrize(
+    "law",
+    [NeoHookean(70.0, 0.3, v).pointwise() for v in ("quadratic", "miehe", "simo-taylor")]
+    + [NewtonianFluid(100.0, 0.1)],
+)
+def test_laws_without_branches_are_compiled_for_eight_points(law):
+    assert lanes.works_on_rows(law.update)
+    F, L = np.eye(3) + 0.1 * RNG.normal(size=(8, 3, 3)), RNG.normal(size=(8, 3, 3))
+    F[5] *= -1  # inverted
+    sigma = np.empty((9, 8))
+    _stresses(law.update, _in_rows(F), _in_rows(L), law.parameters, sigma)
+    for i in range(8):
+        expected = np.empty((3, 3))
+        law.update(F[i], L[i], law.parameters, np.empty(0), expected)
+        scale = np.abs(expected).max() if i != 5 else 1.0
+        assert sigma[:, i] == pytest.approx(expected.ravel(), abs=1e-14 * scale, nan_ok=True)
+
+
+def _in_rows(tensors):
+    return np.ascontiguousarray(tensors.reshape(8, 9).T)
+
+
+def test_laws_with_branches_are_not():
+    assert not lanes.works_on_rows(Hencky(70.0, 0.3).update)
+    assert not lanes.works_on_rows(VonMises(70.0, 0.3, 1.0).update)
