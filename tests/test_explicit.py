@@ -2,6 +2,7 @@
 """Explicit dynamics: exact motions, conservation, averages of J, failures that leave no trace."""
 
 import logging
+import tracemalloc
 
 from mpi4py import MPI
 
@@ -37,12 +38,13 @@ def lattice(dim, n=10, comm=COMM, size=1.0):
 
 
 def block(dim, law=RUBBER, velocity=None, comm=COMM, n=10, spacing=0.05):
-    """A block in the middle of the box."""
+    """A block in the middle of the box, without a corner: kernels work on eight points at once."""
     domain = lattice(dim, n, comm)
     centre = SHIFT[:dim] + 0.5
 
     def inside(x):
-        return np.abs(x - centre).max(axis=1) < 0.2
+        from_centre = x - centre
+        return (np.abs(from_centre).max(axis=1) < 0.2) & (from_centre.sum(axis=1) < 0.16 * dim)
 
     body = points.lattice(domain, spacing, inside=inside)
     explicit.set_initial_state(body, law, 2.0, velocity)
@@ -283,6 +285,22 @@ def test_wrong_boxes():
             explicit.RigidBox(*arguments)
 
 
+@compiled
+def counting(F, L, parameters, state, sigma):
+    state[0] += 1
+    sigma[:, :] = 0.0
+
+
+def test_a_law_with_a_state_and_without_branches():
+    """Would be compiled for eight points, of which each has a state of its own."""
+    law = Law(counting, np.zeros(0), 1.0, state={"calls": ((), 0.0)}, needs_rate=False)
+    body, V, _ = block(2, law)
+    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3)
+    for _ in sim.run(5e-3):
+        pass
+    assert np.ptp(body["state"]) == 0 and body["state"].min() >= 5
+
+
 def test_a_law_may_change_its_parameters_only():
     body, V, _ = block(2, VonMises(100.0, 0.3, sigma_y=2.0))
     sim = explicit.ExplicitMPM(V, {body: VonMises(100.0, 0.3, sigma_y=2.0)})
@@ -412,3 +430,21 @@ def test_the_paper_s_time_step():
     explicit.set_initial_state(body, law, 1.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     assert explicit.ExplicitMPM(V, {body: law}, cfl=0.3).dt == pytest.approx(2.773e-3, rel=5e-4)
+
+
+def test_memory_of_points_in_space():
+    """All arrays at once, also while points are sorted; of a grid with far fewer nodes."""
+    body, V, _ = block(3)
+    explicit.ExplicitMPM(V, {body: RUBBER}).step()  # compiles
+    tracemalloc.start()
+    try:
+        body, V, _ = block(3, spacing=0.0125)
+        sim = explicit.ExplicitMPM(V, {body: RUBBER})
+        tracemalloc.reset_peak()
+        for _ in sim.run(sim.time + 110 * sim.dt, 110 * sim.dt):
+            pass
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(body) > 30000
+    assert peak / len(body) < 600

@@ -96,19 +96,22 @@ class Kernels(NamedTuple):
 
 
 @functools.cache
-def transfers(dim: int, kind: int, update: Any, rates: bool, is_fluid: bool) -> Kernels:
+def transfers(
+    dim: int, kind: int, update: Any, has_state: bool, rates: bool, is_fluid: bool
+) -> Kernels:
     """Compile the transfers.
 
     Args:
         dim: 2 or 3.
         kind: of grid functions, see ``basis.lines``.
         update: numba function of the material, ``(F, L, parameters, state, sigma)``.
+        has_state: the material remembers something.
         rates: the material needs the velocity gradient.
         is_fluid: of the deformation, only J is kept.
     """
     width, fill = WIDTH[kind], stencils(dim, kind)
     depth = width if dim == 3 else 1
-    eight_at_once = works_on_rows(update)
+    eight_at_once = not has_state and works_on_rows(update)
 
     @_inline
     def determinant(F, first):

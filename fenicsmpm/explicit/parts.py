@@ -52,7 +52,12 @@ class Part:
         self.points, self._update, self._fbar = points, law.update, fbar
         self._dim, self._rates = dim, law.needs_rate
         self._kernels = transfers(
-            dim, kind, law.update, law.needs_rate, isinstance(law, NewtonianFluid)
+            dim,
+            kind,
+            law.update,
+            law.n_state > 0,
+            law.needs_rate,
+            isinstance(law, NewtonianFluid),
         )
         self._contact = contact(dim, kind)
         self._half = half_size(points, kind)
@@ -68,12 +73,13 @@ class Part:
         points, d = self.points, self._dim
         n = len(points)
         somewhere = points.x[-1] if n else 0.0
-        x = in_blocks(points.x, somewhere)
+        # the largest first, since blocks are made by way of copies
         F = in_blocks(points["F"][:, :d, :d], np.eye(d))
+        x = in_blocks(points.x, somewhere)
         mass = in_blocks(points["mass"])
         state = np.zeros((LANES * max(len(mass), 1), law.n_state))
         state[:n] = points["state"]
-        self._body = Body(
+        self._body: Body | None = Body(
             x=x,
             x_next=np.empty_like(x),
             v=in_blocks(points["v"]),
@@ -88,10 +94,16 @@ class Part:
         self._sigma = np.empty((0, LANES))
         self._ranges = np.linspace(0, len(mass), threads + 1).astype(np.int64)
 
+    @property
+    def _working(self) -> Body:
+        """Working arrays, which are there between ``begin`` and ``settle``."""
+        assert self._body is not None
+        return self._body
+
     def scatter(self, rows: Array, nodes: Nodes) -> None:
         """Add the points to the nodes before the first step."""
         sigma = in_blocks(self.points["sigma"])
-        self._kernels.scatter(self._ranges, nodes, self._half, self._body, sigma, rows)
+        self._kernels.scatter(self._ranges, nodes, self._half, self._working, sigma, rows)
 
     def push(self, box: RigidBox, velocity: Array, dt: float, rows: Array, nodes: Nodes) -> Array:
         """Contact forces of a box to the nodes.
@@ -99,7 +111,7 @@ class Part:
         Returns:
             Their sum ``(d,)`` [N].
         """
-        body = self._body
+        body = self._working
         return self._contact.push(
             nodes, self._half, body.x, body.v, body.mass, box.lower, box.upper, velocity,
             box.reach, box.stiffness, box.friction, dt, rows,
@@ -111,7 +123,7 @@ class Part:
         Returns:
             The force that this took ``(d,)`` [N].
         """
-        body = self._body
+        body = self._working
         return self._contact.hold_back(
             body.x_next, body.v, body.mass, box.lower, box.upper, velocity, box.reach, dt
         )
@@ -126,13 +138,13 @@ class Part:
         r = self._fbar.r if self._fbar else 0.0
         return int(
             self._kernels.gather(
-                self._ranges, nodes, self._half, self._body, rows, dt, flip, average, r, averages
+                self._ranges, nodes, self._half, self._working, rows, dt, flip, average, r, averages
             )
         )
 
     def finish(self, averages: Array, nodes: Nodes, again: bool, rows: Array) -> None:
         """Stresses and new positions; if ``again``, add the points to the nodes."""
-        body, average = self._body, self._fbar is not None
+        body, average = self._working, self._fbar is not None
         s = self._fbar.s if self._fbar else 0.0
         if not again:
             self._sigma = np.empty((9 * len(body.mass), LANES))
@@ -146,31 +158,30 @@ class Part:
 
         If ``sort``, points with the same nodes come to stand one after the other.
         """
-        points, body, d = self.points, self._body, self._dim
-        n = len(points)
-        x = out_of_blocks(body.x, n, (d,))
-        F = np.tile(np.eye(3), (n, 1, 1))
-        F[:, :d, :d] = out_of_blocks(body.F, n, (d, d))
+        points, d, n = self.points, self._dim, len(self.points)
+        # one after the other, each working array gone before the next: this is where memory peaks
+        body, self._body = self._working._asdict(), None
+        del body["x_next"], body["L"], body["mass"], body["V_0"]
+        points.assign({"v": out_of_blocks(body.pop("v"), n, (d,))})
+        points.assign({"J_bar": out_of_blocks(body.pop("J_bar"), n)})
+        points.assign({"state": body.pop("state")[:n].copy()})
+        points.assign({"sigma": out_of_blocks(self._sigma, n, (3, 3))})
+        self._sigma = np.empty((0, LANES))
+        F = out_of_blocks(body.pop("F"), n, (d, d))
+        if d == 2:
+            F = np.pad(F, ((0, 0), (0, 1), (0, 1)))
+            F[:, 2, 2] = 1.0
         J = determinants(F)
-        points.assign(
-            {
-                "u": points["u"] + (x - points.x),
-                "v": out_of_blocks(body.v, n, (d,)),
-                "F": F,
-                "J": J,
-                "J_bar": out_of_blocks(body.J_bar, n),
-                "sigma": out_of_blocks(self._sigma, n, (3, 3)),
-                "state": body.state[:n],
-                "weight": J * points["V_0"],
-            }
-        )
+        points.assign({"F": F, "J": J, "weight": J * points["V_0"]})
+        x = out_of_blocks(body.pop("x"), n, (d,))
+        points.assign({"u": points["u"] + (x - points.x)})
         points.move(x)
         if sort:
             points.sort(nodes.nearest(points.x))
 
     def describe(self, block: int, nodes: Nodes) -> str:
         """What is wrong with a point of a block, and where it is."""
-        d, body = self._dim, self._body
+        d, body = self._dim, self._working
         first = block * LANES
         ids = self.points.id[first : first + LANES]
         x = out_of_blocks(body.x_next[block * d : (block + 1) * d], len(ids), (d,))

@@ -45,12 +45,15 @@ def in_blocks(values: npt.NDArray[np.float64], filling: Any = 0.0) -> npt.NDArra
         values: at the points.
         filling: value of the points that fill up the last block, as the shape of a point's.
     """
-    n = len(values)
-    blocks = -(-n // LANES)
-    filled = np.empty((blocks * LANES, *values.shape[1:]))
-    filled[:n], filled[n:] = values, filling
-    lanes_last = np.moveaxis(filled.reshape(blocks, LANES, -1), 1, 2)
-    return np.ascontiguousarray(lanes_last).reshape(-1, LANES)
+    n, full = len(values), len(values) // LANES
+    components = math.prod(values.shape[1:])
+    rows = np.empty((-(-n // LANES), components, LANES))
+    flat = values.reshape(n, components)
+    rows[:full] = np.moveaxis(flat[: full * LANES].reshape(full, LANES, components), 1, 2)
+    if n % LANES:
+        rows[full] = np.broadcast_to(filling, values.shape[1:]).reshape(components, 1)
+        rows[full, :, : n % LANES] = flat[full * LANES :].T
+    return rows.reshape(-1, LANES)
 
 
 def out_of_blocks(
