@@ -120,7 +120,7 @@ def run(case, until, output, restart=False, interval=0.05):
     columns = {
         "t [s]": lambda: sim.time - SETTLING,
         "run-out [m]": lambda: body.bounds[1][0] - BASE,
-        "largest plastic strain": lambda: largest(body, "eps_p", sim),
+        "largest plastic strain": lambda: largest(body, "eps_p"),
     }
     series_path = output / f"{case.files()}.pvd"
     table = output / f"{case.files()}.csv"
@@ -144,9 +144,8 @@ def run(case, until, output, restart=False, interval=0.05):
     return sim, np.loadtxt(table, delimiter=",", comments=["#", "t"], ndmin=2)
 
 
-def largest(body, name, sim):
-    values = sim.laws[body].state_field(body["state"], name)
-    return body.mesh.comm.allreduce(float(values.max(initial=0.0)), MPI.MAX)
+def largest(body, name):
+    return body.mesh.comm.allreduce(float(body[name].max(initial=0.0)), MPI.MAX)
 
 
 def largest_velocity(body):
@@ -157,11 +156,7 @@ def largest_velocity(body):
 def draw(path, runs):
     panels = []
     for case, sim, _ in runs:
-        (body,) = sim.bodies
-        cloud = io.gather_points(body)
-        if cloud is not None:
-            strain = sim.laws[body].columns["eps_p"]
-            cloud["eps_p"] = cloud["state"][:, strain].ravel()
+        cloud = io.gather_points(sim.bodies[0])
         panels.append(io.Panel(cloud, "eps_p", f"{case.label()}, t = {sim.time - SETTLING:.1f} s"))
     io.picture(path, panels, "equivalent plastic strain", limits=(0.0, 2.0))
 

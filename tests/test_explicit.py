@@ -219,7 +219,9 @@ def test_materials_in_a_shear_flow(law, dim):
         expected = stress(law, F, L, state)
     n = len(body)
     assert body["sigma"] == pytest.approx(np.tile(expected, (n, 1, 1)), abs=1e-9)
-    assert body["state"] == pytest.approx(np.tile(state, (n, 1)), abs=1e-12)
+    for name in law.state:
+        assert body[name][0] == pytest.approx(law.state_field(state, name)[0], abs=1e-12)
+        assert np.ptp(body[name], axis=0).max() < 1e-12
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -298,7 +300,7 @@ def test_a_law_with_a_state_and_without_branches():
     sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3)
     for _ in sim.run(5e-3):
         pass
-    assert np.ptp(body["state"]) == 0 and body["state"].min() >= 5
+    assert np.all(body["calls"] == 5)
 
 
 def test_a_law_may_change_its_parameters_only():
@@ -396,7 +398,7 @@ def test_wrong_input():
     new = points.fill(V.mesh, 1)
     with pytest.raises(ValueError, match=r"without the fields mass, .*set_initial_state"):
         explicit.ExplicitMPM(V, {new: RUBBER})
-    with pytest.raises(ValueError, match="of its law"):
+    with pytest.raises(ValueError, match="without the fields C_p_inverse, eps_p"):
         explicit.ExplicitMPM(V, {body: VonMises(1.0, 0.3, sigma_y=1.0)})
     with pytest.raises(ValueError, match="field 'force'"):
         explicit.ExplicitMPM(V, {body: RUBBER}, loads=[new])

@@ -23,7 +23,7 @@ def set_initial_state(
 
     These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
     determinant [-], "u" displacement [m], "v" velocity [m/s], "J_bar" averaged J [-], "sigma"
-    Cauchy stress ``(3, 3)`` [Pa], and "state" what the law remembers ``(n_state,)``.
+    Cauchy stress ``(3, 3)`` [Pa], and the fields of the law's state, such as "eps_p".
 
     Args:
         points: the body, with its volumes as weights.
@@ -38,4 +38,5 @@ def set_initial_state(
     add_motion(points, density, velocity)
     points.add_field("J_bar", (), 1.0)
     points.add_field("sigma", (3, 3))
-    points.add_field("state", (law.n_state,), law.initial_state(len(points)))
+    for name, (shape, value) in law.state.items():
+        points.add_field(name, shape, value)

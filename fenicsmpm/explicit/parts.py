@@ -19,7 +19,7 @@ from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law, NewtonianFluid
 from fenicsmpm.points import MaterialPoints
 
-_NEEDED = ("mass", "V_0", "F", "J", "J_bar", "u", "v", "sigma", "state")
+_NEEDED = ("mass", "V_0", "F", "J", "J_bar", "u", "v", "sigma")
 
 Array = npt.NDArray[np.float64]
 
@@ -42,14 +42,19 @@ class Part:
 
     def __init__(self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None) -> None:
         """Check the fields."""
-        missing = [name for name in _NEEDED if name not in points]
-        if missing or points.field_shape("state") != (law.n_state,):
+        missing = [name for name in (*_NEEDED, *law.state) if name not in points]
+        wrong = [
+            name
+            for name, (shape, _) in law.state.items()
+            if name in points and points.field_shape(name) != shape
+        ]
+        if missing or wrong:
             raise ValueError(
-                f"a body without the fields {', '.join(missing) or 'of its law'}: call "
+                f"a body without the fields {', '.join([*missing, *wrong])}: call "
                 "explicit.set_initial_state(points, law, density) first"
             )
         dim = points.mesh.geometry.dim
-        self.points, self._update, self._fbar = points, law.update, fbar
+        self.points, self._law, self._fbar = points, law, fbar
         self._dim, self._rates = dim, law.needs_rate
         self._kernels = transfers(
             dim,
@@ -68,7 +73,7 @@ class Part:
         Raises:
             ValueError: for a law of another kind than the first.
         """
-        if law.update is not self._update:
+        if law.update is not self._law.update:
             raise ValueError(f"a body's law may change its parameters only: {law}")
         points, d = self.points, self._dim
         n = len(points)
@@ -78,7 +83,8 @@ class Part:
         x = in_blocks(points.x, somewhere)
         mass = in_blocks(points["mass"])
         state = np.zeros((LANES * max(len(mass), 1), law.n_state))
-        state[:n] = points["state"]
+        for name in law.state:
+            state[:n, law.columns[name]] = points[name].reshape(n, -1)
         self._body: Body | None = Body(
             x=x,
             x_next=np.empty_like(x),
@@ -164,7 +170,9 @@ class Part:
         del body["x_next"], body["L"], body["mass"], body["V_0"]
         points.assign({"v": out_of_blocks(body.pop("v"), n, (d,))})
         points.assign({"J_bar": out_of_blocks(body.pop("J_bar"), n)})
-        points.assign({"state": body.pop("state")[:n].copy()})
+        state = body.pop("state")[:n]
+        points.assign({name: self._law.state_field(state, name).copy() for name in self._law.state})
+        del state
         points.assign({"sigma": out_of_blocks(self._sigma, n, (3, 3))})
         self._sigma = np.empty((0, LANES))
         F = out_of_blocks(body.pop("F"), n, (d, d))
