@@ -356,6 +356,17 @@ def test_sort_keeps_rows_together():
     check_consistent(points)
 
 
+def test_sort_by_other_numbers():
+    points = MaterialPoints(box(), cloud(200, 2)[WORLD.rank :: WORLD.size], 1.0)
+    points.add_field("v", (2,), points.x)
+    before = everywhere(points, "v")
+    points.sort(np.rint(10 - 10 * points.x[:, 0]).astype(np.int64))
+    assert np.all(np.diff(np.rint(10 * points.x[:, 0])) <= 0)
+    np.testing.assert_array_equal(everywhere(points, "v"), before)
+    np.testing.assert_array_equal(points.cell[points.order], np.sort(points.cell))
+    check_consistent(points)
+
+
 def test_known_cells_are_taken_as_given():
     """The owner can be named for a point on a facet, which would otherwise go to the lowest."""
     mesh = box(n=1, comm=MPI.COMM_SELF)
