@@ -46,7 +46,7 @@ DENSITY = 997.5  # kg/m^3
 GRAVITY = 9.81  # m/s^2
 WATER = NewtonianFluid(kappa=2e9, mu=1e-3)
 AVERAGES = {
-    "F-bar": explicit.FBar(r=0.1, s=0.01),
+    "F-bar": "default",
     "algorithm-1": explicit.ALGORITHM_1,
     "true-J": explicit.TRUE_J,
     "standard": None,

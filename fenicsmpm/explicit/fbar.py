@@ -19,7 +19,7 @@ class FBar:
     J_bar close to J.
 
     After that, ``F <- (J* / J)^(1/d) F`` with ``J* = J + s (J_bar - J)``: what holds together the
-    true J of neighbours in a fluid, where no stress does.
+    true J of neighbours where no stress does, in fluids and plastic flow.
 
     Attributes:
         r: share of the true J, 0 to 1.
@@ -43,5 +43,9 @@ TRUE_J = FBar(r=1.0)
 
 
 def default_fbar(law: Law) -> FBar:
-    """Averages that neither creep nor oscillate, for solids or fluids."""
-    return FBar(r=0.1, s=0.01) if isinstance(law, NewtonianFluid) else FBar()
+    """Averages that neither creep nor oscillate, for elastic solids or for what flows.
+
+    A law that remembers something, such as plastic strain, is taken for one that flows.
+    """
+    flows = isinstance(law, NewtonianFluid) or law.n_state > 0
+    return FBar(r=0.1, s=0.01) if flows else FBar()
