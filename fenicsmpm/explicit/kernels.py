@@ -52,8 +52,7 @@ _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
 _parallel = numba.njit(parallel=True)
 
-# numbers of the lines of a block, one line of each of its points
-_LINES = LANES * LANES
+_LINES = LANES * LANES  # numbers of the lines of a block, one line of each of its points
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
 
 
@@ -240,10 +239,11 @@ def transfers(
                 increment = load_column(lines, 5 + j, LANES)
                 x_next = load(body.x, vector + j) + dt * velocity
                 in_flip = load(body.v, vector + j) + increment
+                v_next = flip * in_flip + (1.0 - flip) * velocity
                 store(body.x_next, vector + j, x_next)
-                store(body.v, vector + j, flip * in_flip + (1.0 - flip) * velocity)
+                store(body.v, vector + j, v_next)
                 t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
-                good &= between(t, 0, nodes.shape[j] - 1)
+                good &= between(t, 0, nodes.shape[j] - 1) and between(v_next, -_HUGE, _HUGE)
             # eq. 16
             for k in range(dim):
                 for j in range(dim):

@@ -82,7 +82,7 @@ class Part:
         F = in_blocks(points["F"][:, :d, :d], np.eye(d))
         x = in_blocks(points.x, somewhere)
         mass = in_blocks(points["mass"])
-        state = np.zeros((LANES * max(len(mass), 1), law.n_state))
+        state = law.initial_state(LANES * max(len(mass), 1))
         for name in law.state:
             state[:n, law.columns[name]] = points[name].reshape(n, -1)
         self._body: Body | None = Body(
@@ -194,7 +194,8 @@ class Part:
         ids = self.points.id[first : first + LANES]
         x = out_of_blocks(body.x_next[block * d : (block + 1) * d], len(ids), (d,))
         F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], len(ids), (d, d))
-        J = np.linalg.det(F)
+        v = out_of_blocks(body.v[block * d : (block + 1) * d], len(ids), (d,))
+        J = np.linalg.det(F) + 0 * v.sum(axis=1)  # no number, if one of both is none
         t = (x - nodes.origin[:d]) * nodes.per_metre[:d]
         inside = np.all((t >= 0) & (t <= nodes.shape[:d] - 1), axis=1)
         i = int(np.argmin(inside & (J > 0) & np.isfinite(J)))
