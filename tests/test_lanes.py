@@ -139,8 +139,8 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 @njit
 def _stresses(update, F, L, parameters, sigma):
-    nothing = parameters[:0]
-    update(lanes.tensors(F), lanes.tensors(L), parameters, nothing, lanes.tensors(sigma))
+    nothing = lanes.tensors(F, 0)
+    update(lanes.tensors(F, 0), lanes.tensors(L, 0), parameters, nothing, lanes.tensors(sigma, 0))
 
 
 @pytest.mark.parametrize(
@@ -168,3 +168,50 @@ def _in_rows(tensors):
 def test_laws_with_branches_are_not():
     assert not lanes.works_on_rows(Hencky(70.0, 0.3).update)
     assert not lanes.works_on_rows(VonMises(70.0, 0.3, 1.0).update)
+
+
+@njit
+def _eight(update_eight, F, L, parameters, state, sigma):
+    state, sigma = lanes.tensors(state, 0), lanes.tensors(sigma, 0)
+    return update_eight(lanes.tensors(F, 0), lanes.tensors(L, 0), parameters, state, sigma)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        Hencky(70.0, 0.3),
+        VonMises(70.0, 0.3, 5.0, H=3.0),
+        VonMises(70.0, 0.3, 5.0, sigma_r=1.0, eta=5.0),
+        VonMises(70.0, 0.3, 5.0, sigma_r=9.0, eta=5.0),
+    ],
+)
+def test_easy_steps_of_eight_points_are_those_of_one(law):
+    F, L = np.eye(3) + 0.01 * RNG.normal(size=(8, 3, 3)), np.zeros((8, 3, 3))
+    state = law.initial_state(8)
+    for i in range(8):
+        if law.n_state > 0:  # plastic deformation in the past
+            state[i, law.columns["eps_p"]] = 0.1 * i / 8
+            stretch = np.diag(np.exp([0.02 * i, -0.01 * i, -0.01 * i]))
+            state[i, law.columns["C_p_inverse"]] = np.linalg.inv(stretch @ stretch).ravel()
+            F[i] = F[i] @ stretch
+    rows, sigma = np.ascontiguousarray(state.T), np.empty((9, 8))
+    arguments = _in_rows(F), _in_rows(L), law.parameters, rows, sigma
+    assert _eight(law.update_eight, *arguments)
+    before = state.copy()
+    for i in range(8):
+        expected = np.empty((3, 3))
+        law.update(F[i], L[i], law.parameters, state[i], expected)
+        assert sigma[:, i] == pytest.approx(expected.ravel(), abs=1e-14 * np.abs(expected).max())
+    assert np.array_equal(state, before)
+    F[3] += 0.2 * np.eye(3)[::-1]  # a large strain
+    assert not _eight(law.update_eight, _in_rows(F), *arguments[1:])
+
+
+def test_a_plastic_step_of_one_in_eight_is_not_easy():
+    law = VonMises(70.0, 0.3, 0.1, sigma_r=0.05, eta=5.0)
+    F = np.tile(np.eye(3), (8, 1, 1))
+    rows, sigma = np.ascontiguousarray(law.initial_state(8).T), np.empty((9, 8))
+    zero = np.zeros((9, 8))
+    assert _eight(law.update_eight, _in_rows(F), zero, law.parameters, rows, sigma)
+    F[6, 0, 1] = 0.01
+    assert not _eight(law.update_eight, _in_rows(F), zero, law.parameters, rows, sigma)

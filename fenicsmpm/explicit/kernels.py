@@ -29,6 +29,7 @@ import numpy as np
 
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
+from fenicsmpm.explicit.stresses import stresses
 from fenicsmpm.lanes import (
     LANES,
     LINE_LANES,
@@ -41,8 +42,6 @@ from fenicsmpm.lanes import (
     store,
     store_column,
     store_line,
-    tensors,
-    works_on_rows,
     zero_line,
     zeros,
 )
@@ -69,7 +68,7 @@ class Body(NamedTuple):
         J_bar: averaged J.
         mass: [kg].
         V_0: initial volumes.
-        state: what the material remembers ``(n, n_state)``, not in blocks.
+        state: what the material remembers (n_state,).
         L: velocity gradients (d, d), of no points if the material does not need them.
         parameters: of the material.
     """
@@ -96,7 +95,7 @@ class Kernels(NamedTuple):
 
 @functools.cache
 def transfers(
-    dim: int, kind: int, update: Any, has_state: bool, rates: bool, is_fluid: bool
+    dim: int, kind: int, update: Any, update_eight: Any, n_state: int, rates: bool, is_fluid: bool
 ) -> Kernels:
     """Compile the transfers.
 
@@ -104,13 +103,14 @@ def transfers(
         dim: 2 or 3.
         kind: of grid functions, see ``basis.lines``.
         update: numba function of the material, ``(F, L, parameters, state, sigma)``.
-        has_state: the material remembers something.
+        update_eight: the same for eight points, where it is easy, or None.
+        n_state: how many numbers the material remembers.
         rates: the material needs the velocity gradient.
         is_fluid: of the deformation, only J is kept.
     """
     width, fill = WIDTH[kind], stencils(dim, kind)
     depth = width if dim == 3 else 1
-    eight_at_once = not has_state and works_on_rows(update)
+    set_stress = stresses(update, update_eight, n_state, rates)
 
     @_inline
     def determinant(F, first):
@@ -307,27 +307,13 @@ def transfers(
     def root(x):
         return math.sqrt(x) if dim == 2 else cube_root(x)
 
-    @_inline
-    def one_by_one(block, F, L, body, F_i, L_i, sigma, stress):
-        """Stresses of a block by a law for one point, with three work arrays (3, 3)."""
-        for i in range(LANES):
-            for j in range(3):
-                for k in range(3):
-                    F_i[j, k] = F[3 * j + k, i]
-                    if rates:
-                        L_i[j, k] = L[3 * j + k, i]
-            update(F_i, L_i, body.parameters, body.state[block * LANES + i], sigma)
-            for j in range(3):
-                for k in range(3):
-                    stress[3 * j + k, i] = sigma[j, k]
-
     @_njit
     def finish(first, last, nodes, half, body, average, s, averages, again, sigma, rows):
         """Stresses by the averaged J: to the nodes for the next step, or at last to ``sigma``."""
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         F_bar, rate, stress = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
-        F_i, L_i, sigma_i = np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+        work, state_i = np.zeros((3, 3, 3)), np.empty(n_state)
         F_bar[8] = 1.0
         lines, average_lines = np.zeros((4 * LANES, LANES)), np.empty((LANES, LINE_LANES))
         far, near = strides(nodes)
@@ -358,11 +344,7 @@ def transfers(
                     store(F_bar, 3 * j + k, scale * load(body.F, tensor + j * dim + k))
                     if rates:
                         store(rate, 3 * j + k, load(body.L, tensor + j * dim + k))
-            if eight_at_once:
-                nothing = body.state[0]
-                update(tensors(F_bar), tensors(rate), body.parameters, nothing, tensors(stress))
-            else:
-                one_by_one(block, F_bar, rate, body, F_i, L_i, sigma_i, stress)
+            set_stress(block, F_bar, rate, body.parameters, body.state, work, state_i, stress)
             if again:
                 pack(block, body, J * load(body.V_0, block), stress, 0, lines)
                 fill(body.x_next, block, nodes, half, base, w, d)

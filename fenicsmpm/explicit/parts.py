@@ -60,7 +60,8 @@ class Part:
             dim,
             kind,
             law.update,
-            law.n_state > 0,
+            law.update_eight,
+            law.n_state,
             law.needs_rate,
             isinstance(law, NewtonianFluid),
         )
@@ -82,9 +83,7 @@ class Part:
         F = in_blocks(points["F"][:, :d, :d], np.eye(d))
         x = in_blocks(points.x, somewhere)
         mass = in_blocks(points["mass"])
-        state = law.initial_state(LANES * max(len(mass), 1))
-        for name in law.state:
-            state[:n, law.columns[name]] = points[name].reshape(n, -1)
+        state = [points[name].reshape(n, -1) for name in law.state]
         self._body: Body | None = Body(
             x=x,
             x_next=np.empty_like(x),
@@ -93,7 +92,7 @@ class Part:
             J_bar=in_blocks(points["J_bar"], 1.0),
             mass=mass,
             V_0=in_blocks(points["V_0"]),
-            state=state,
+            state=in_blocks(np.hstack([np.empty((n, 0)), *state]), law.initial_state(1)[0]),
             L=np.zeros_like(F) if self._rates else np.empty((0, LANES)),
             parameters=np.asarray(law.parameters),
         )
@@ -170,9 +169,10 @@ class Part:
         del body["x_next"], body["L"], body["mass"], body["V_0"]
         points.assign({"v": out_of_blocks(body.pop("v"), n, (d,))})
         points.assign({"J_bar": out_of_blocks(body.pop("J_bar"), n)})
-        state = body.pop("state")[:n]
-        points.assign({name: self._law.state_field(state, name).copy() for name in self._law.state})
-        del state
+        if self._law.state:
+            state = out_of_blocks(body.pop("state"), n, (self._law.n_state,))
+            points.assign({k: self._law.state_field(state, k).copy() for k in self._law.state})
+            del state
         points.assign({"sigma": out_of_blocks(self._sigma, n, (3, 3))})
         self._sigma = np.empty((0, LANES))
         F = out_of_blocks(body.pop("F"), n, (d, d))

@@ -7,16 +7,20 @@ import math
 
 import numpy as np
 
+from fenicsmpm.lanes import between
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
 from fenicsmpm.materials.tensors import (
+    SMALL,
     deviator,
     eigen,
     inverse,
     log_of_one_plus,
+    log_of_one_plus_small,
     logarithm,
     metric_change,
     norm_squared,
     rows,
+    small_logarithm,
     volume_change,
 )
 
@@ -24,8 +28,24 @@ from fenicsmpm.materials.tensors import (
 @compiled
 def deviatoric_strain(b):  # type: ignore[no-untyped-def]
     """Deviatoric logarithmic strain 1/2 dev(ln b), a symmetric tensor, of the tensor b - I."""
-    h11, h22, h33, h12, h13, h23 = deviator(logarithm(b))
-    return 0.5 * h11, 0.5 * h22, 0.5 * h33, 0.5 * h12, 0.5 * h13, 0.5 * h23
+    return _half(deviator(logarithm(b)))
+
+
+@compiled
+def small_deviatoric_strain(b):  # type: ignore[no-untyped-def]
+    """As ``deviatoric_strain`` for |b - I| < SMALL, without a branch."""
+    return _half(deviator(small_logarithm(b)))
+
+
+@compiled
+def _half(A):  # type: ignore[no-untyped-def]
+    return 0.5 * A[0], 0.5 * A[1], 0.5 * A[2], 0.5 * A[3], 0.5 * A[4], 0.5 * A[5]
+
+
+@compiled
+def are_small(change, b):  # type: ignore[no-untyped-def]
+    """Whether at eight points J - 1 and b - I are small enough for series."""
+    return between(change, -SMALL, SMALL) and between(norm_squared(b), 0.0, SMALL**2)
 
 
 @compiled
@@ -125,6 +145,17 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _update_eight(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+    mu, kappa = parameters[0], parameters[1]
+    change, b = volume_change(F), metric_change(F)
+    if not are_small(change, b):
+        return False
+    mean = kappa * log_of_one_plus_small(change)
+    set_cauchy_stress(sigma, mean, 2 * mu, small_deviatoric_strain(b), 1 + change)
+    return True
+
+
+@compiled
 def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
     e = deviatoric_strain(metric_change(F))
     return stored_energy(parameters[0], parameters[1], log_of_one_plus(volume_change(F)), e)
@@ -168,6 +199,7 @@ class Hencky(Law):
             modulus,
             energy=_energy,
             tangent=_tangent,
+            update_eight=_update_eight,
             needs_rate=False,
         )
 

@@ -41,7 +41,10 @@ class Law:
         tangent: ``tangent(F, parameters, state, dPdF)``: sets the derivative
             ``dPdF[i, J, k, L] = dP[i, J] / dF[k, L]`` [Pa] of the first Piola-Kirchhoff stress
             after the step; state is that before the step and stays as it is.
-
+        update_eight: ``update_eight(F, L, parameters, state, sigma) -> bool``: the same for eight
+            points at once, if it is easy, such as elastic: F, L and sigma in ``lanes.Row``, state
+            as it was, ``state[k]`` the k-th number of each. If it returns False, ``update`` is
+            called for each point. Not needed where ``update`` has no branches and no state.
         needs_rate: whether ``update`` reads L; if not, loops save the trouble and give zeros.
 
     Raises:
@@ -55,11 +58,12 @@ class Law:
     state: Mapping[str, tuple[tuple[int, ...], npt.ArrayLike]] = field(default_factory=dict)
     energy: Callable[..., float] | None = None
     tangent: Callable[..., None] | None = None
+    update_eight: Callable[..., bool] | None = None
     needs_rate: bool = True
 
     def __post_init__(self) -> None:
         """Check, and lay out the state."""
-        for name in ("update", "energy", "tangent"):
+        for name in ("update", "energy", "tangent", "update_eight"):
             function = getattr(self, name)
             if not (isinstance(function, Dispatcher) or (function is None and name != "update")):
                 raise TypeError(

@@ -8,11 +8,14 @@ import math
 
 import numpy as np
 
+from fenicsmpm.lanes import between
 from fenicsmpm.materials.hencky import (
+    are_small,
     deviatoric_strain,
     principal_deviatoric_strain,
     set_cauchy_stress,
     set_tangent,
+    small_deviatoric_strain,
     stored_energy,
 )
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus, positive
@@ -22,6 +25,7 @@ from fenicsmpm.materials.tensors import (
     exponential,
     inverse,
     log_of_one_plus,
+    log_of_one_plus_small,
     metric_change,
     norm_squared,
     rows,
@@ -107,6 +111,37 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
         state[2] = state[6] = c[4]
         state[5] = state[7] = c[5]
     set_cauchy_stress(sigma, kappa * log_j, 2 * mu, e, 1 + change)
+
+
+@compiled
+def _least_yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
+    """A lower bound of the yield stress without an exponential, exact at eps_p = 0."""
+    sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
+    x = eta * eps_p
+    if sigma_y > sigma_r:  # (1 - x/8)^8 < exp(-x)
+        y = max(1 - x / 8, 0)
+        y *= y
+        y *= y
+        y *= y
+    else:
+        y = 1 / (1 + x)
+    return sigma_r + (sigma_y - sigma_r) * y + H * eps_p
+
+
+@compiled
+def _update_eight(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+    mu, kappa = parameters[0], parameters[1]
+    change, b = volume_change(F), _trial(F, state)
+    if not are_small(change, b):
+        return False
+    e = small_deviatoric_strain(b)
+    reserve = _least_yield_stress(state[_EPS_P], parameters) - _equivalent_stress(
+        mu, norm_squared(e)
+    )
+    if not between(reserve, 0.0, math.inf):
+        return False
+    set_cauchy_stress(sigma, kappa * log_of_one_plus_small(change), 2 * mu, e, 1 + change)
+    return True
 
 
 @compiled
@@ -216,8 +251,9 @@ class VonMises(Law):
             np.array([self.mu, self.kappa, sigma_y, sigma_r, eta, H]),
             p_wave_modulus(self.mu, self.kappa),
             {"C_p_inverse": ((3, 3), np.eye(3)), "eps_p": ((), 0.0), "dissipation": ((), 0.0)},
-            _energy,
-            _tangent,
+            energy=_energy,
+            tangent=_tangent,
+            update_eight=_update_eight,
             needs_rate=False,
         )
 

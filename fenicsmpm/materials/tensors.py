@@ -14,6 +14,9 @@ from fenicsmpm.materials.law import compiled
 
 SQRT_3 = math.sqrt(3)
 
+# Up to there, logarithms and exponentials are found by series
+SMALL = 0.1
+
 
 @compiled
 def _dot(a, b):  # type: ignore[no-untyped-def]
@@ -56,8 +59,12 @@ def cube_root(x):  # type: ignore[no-untyped-def]
 @compiled
 def log_of_one_plus(x):  # type: ignore[no-untyped-def]
     """ln(1 + x) to round-off; for small x by a series, in a quarter of the time of ``log1p``."""
-    if not abs(x) < 0.1:
-        return math.log1p(x)
+    return log_of_one_plus_small(x) if abs(x) < SMALL else math.log1p(x)
+
+
+@compiled
+def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
+    """ln(1 + x) to round-off for |x| < SMALL."""
     y = x / (2 + x)
     z = y * y
     series = 1 / 9 + z * (1 / 11 + z * (1 / 13 + z / 15))
@@ -231,7 +238,7 @@ def _polynomial(A, coefficients):  # type: ignore[no-untyped-def]
     first = A[0] + A[1] + A[2]
     second = (first * first - (A2[0] + A2[1] + A2[2])) / 2
     third = _dot((A[0], A[3], A[4]), _cross((A[3], A[1], A[5]), (A[4], A[5], A[2])))
-    a, b, c = 0.0, 0.0, 0.0
+    a = b = c = 0 * A[0]
     for coefficient in coefficients:
         a, b, c = coefficient + third * c, a - second * c, b + first * c
     return (
@@ -261,11 +268,15 @@ def deviator(A):  # type: ignore[no-untyped-def]
 @compiled
 def logarithm(A):  # type: ignore[no-untyped-def]
     """ln(I + A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
-    if not norm_squared(A) < 0.01:
-        w, n = eigen(A)
-        values = log_of_one_plus(w[0]), log_of_one_plus(w[1]), log_of_one_plus(w[2])
-        return compose(values, n)
-    # 2 artanh(Y) with Y = A (2 I + A)^-1
+    if norm_squared(A) < SMALL**2:
+        return small_logarithm(A)
+    w, n = eigen(A)
+    return compose((log_of_one_plus(w[0]), log_of_one_plus(w[1]), log_of_one_plus(w[2])), n)
+
+
+@compiled
+def small_logarithm(A):  # type: ignore[no-untyped-def]
+    """ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for |A| < SMALL."""
     b = (2 + A[0], A[3], A[4], A[3], 2 + A[1], A[5], A[4], A[5], 2 + A[2])
     c = inverse(b)
     Y = _times(A, (c[0], c[4], c[8], c[1], c[2], c[5]))
@@ -275,7 +286,7 @@ def logarithm(A):  # type: ignore[no-untyped-def]
 @compiled
 def exponential(A):  # type: ignore[no-untyped-def]
     """exp(A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
-    if not norm_squared(A) < 0.01:
-        w, n = eigen(A)
-        return compose((math.exp(w[0]), math.exp(w[1]), math.exp(w[2])), n)
-    return _polynomial(A, _EXPONENTIAL)
+    if norm_squared(A) < SMALL**2:
+        return _polynomial(A, _EXPONENTIAL)
+    w, n = eigen(A)
+    return compose((math.exp(w[0]), math.exp(w[1]), math.exp(w[2])), n)

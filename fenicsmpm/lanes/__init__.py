@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""Eight numbers at once in loops compiled by numba, in one vector register."""
+
+from fenicsmpm.lanes.memory import (
+    load,
+    load_column,
+    load_line,
+    number_at,
+    store,
+    store_column,
+    store_integers,
+    store_line,
+)
+from fenicsmpm.lanes.rows import (
+    LANES,
+    LINE_LANES,
+    add_scaled,
+    between,
+    if_positive,
+    rough_inverse_cube_root,
+    zero_line,
+    zeros,
+)
+from fenicsmpm.lanes.tensors import tensors, works_on_rows
+
+__all__ = [
+    "LANES",
+    "LINE_LANES",
+    "add_scaled",
+    "between",
+    "if_positive",
+    "load",
+    "load_column",
+    "load_line",
+    "number_at",
+    "rough_inverse_cube_root",
+    "store",
+    "store_column",
+    "store_integers",
+    "store_line",
+    "tensors",
+    "works_on_rows",
+    "zero_line",
+    "zeros",
+]

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: MIT
+"""Eight numbers at once in loops compiled by numba, in one vector register.
+
+A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``max``, ``math.sqrt``
+and ``math.floor`` act on each of its lanes. So what is written for one point can be compiled for
+eight of them, if it has no branches. Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four
+numbers of an array ``(n, 4)``, which can only be summed up.
+"""
+
+# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
+
+from __future__ import annotations
+
+import math
+import operator
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+LANES, LINE_LANES = 8, 4
+
+DOUBLE, INT64, INT32 = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
+VECTOR, INTEGERS = ir.VectorType(DOUBLE, LANES), ir.VectorType(INT64, LANES)
+SHORT_VECTOR = ir.VectorType(DOUBLE, LINE_LANES)
+# products and sums may be fused: faster and not less accurate
+_FUSE = ("contract",)
+NUMBERS = (types.Float, types.Integer)
+
+
+class RowType(types.Type):
+    """Numba's type of a row."""
+
+    def __init__(self):
+        """Name it."""
+        super().__init__(name="Row")
+
+
+class LineType(types.Type):
+    """Numba's type of a line."""
+
+    def __init__(self):
+        """Name it."""
+        super().__init__(name="Line")
+
+
+ROW, LINE = RowType(), LineType()
+
+
+@register_model(RowType)
+class _RowModel(models.PrimitiveModel):
+    def __init__(self, manager, row_type):
+        super().__init__(manager, row_type, VECTOR)
+
+
+@register_model(LineType)
+class _LineModel(models.PrimitiveModel):
+    def __init__(self, manager, line_type):
+        super().__init__(manager, line_type, SHORT_VECTOR)
+
+
+def splat(builder, number, kind=VECTOR):
+    """LLVM vector with the same number in each lane."""
+    undefined = ir.Constant(kind, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.Constant(INT32, 0))
+    mask = ir.Constant(ir.VectorType(INT32, kind.count), None)
+    return builder.shuffle_vector(first, undefined, mask)
+
+
+def _call(builder, name, kind, *arguments):
+    """LLVM's own function of one or more vectors or doubles."""
+    suffix = "f64" if kind is DOUBLE else f"v{kind.count}f64"
+    function_type = ir.FunctionType(kind, [kind] * len(arguments))
+    function = cgutils.get_or_insert_function(
+        builder.module, function_type, f"llvm.{name}.{suffix}"
+    )
+    return builder.call(function, arguments)
+
+
+# --- operators and functions of the language -----------------------------------------------------
+
+
+def _is_row_function(arguments):
+    return ROW in arguments and all(a is ROW or isinstance(a, NUMBERS) for a in arguments)
+
+
+def _define(function, count, build):
+    """Make a function act on rows, and on rows with numbers.
+
+    Args:
+        function: such as ``operator.add``.
+        count: of its arguments.
+        build: ``build(builder, *vectors)``, the LLVM code.
+    """
+
+    @type_callable(function)
+    def _typer(_context):
+        def typer(*arguments):
+            if len(arguments) == count and _is_row_function(arguments):
+                return ROW
+            return None
+
+        # numba looks at the signature
+        if count == 1:
+            return lambda a: typer(a)
+        return lambda a, b: typer(a, b)
+
+    def generate(context, builder, signature, arguments):
+        vectors = [
+            value
+            if kind is ROW
+            else splat(builder, context.cast(builder, value, kind, types.float64))
+            for kind, value in zip(signature.args, arguments, strict=True)
+        ]
+        return build(builder, *vectors)
+
+    if count == 1:
+        lower_builtin(function, ROW)(generate)
+        return
+    lower_builtin(function, ROW, ROW)(generate)
+    for number in NUMBERS:
+        lower_builtin(function, ROW, number)(generate)
+        lower_builtin(function, number, ROW)(generate)
+
+
+for _operators, _build in (
+    ((operator.add, operator.iadd), lambda b, x, y: b.fadd(x, y, flags=_FUSE)),
+    ((operator.sub, operator.isub), lambda b, x, y: b.fsub(x, y, flags=_FUSE)),
+    ((operator.mul, operator.imul), lambda b, x, y: b.fmul(x, y, flags=_FUSE)),
+    ((operator.truediv, operator.itruediv), lambda b, x, y: b.fdiv(x, y)),
+):
+    for _operator in _operators:
+        _define(_operator, 2, _build)
+_define(operator.neg, 1, lambda b, x: b.fneg(x))
+_define(math.sqrt, 1, lambda b, x: _call(b, "sqrt", VECTOR, x))
+_define(math.floor, 1, lambda b, x: _call(b, "floor", VECTOR, x))
+_define(min, 2, lambda b, x, y: _call(b, "minnum", VECTOR, x, y))
+_define(max, 2, lambda b, x, y: _call(b, "maxnum", VECTOR, x, y))
+
+
+# --- what the language does not have -------------------------------------------------------------
+
+
+@intrinsic
+def zeros(_typing):
+    """A row of zeros."""
+
+    def generate(_context, _builder, _signature, _arguments):
+        return ir.Constant(VECTOR, None)
+
+    return ROW(), generate
+
+
+@intrinsic
+def zero_line(_typing):
+    """A line of zeros."""
+
+    def generate(_context, _builder, _signature, _arguments):
+        return ir.Constant(SHORT_VECTOR, None)
+
+    return LINE(), generate
+
+
+@intrinsic
+def add_scaled(_typing, total, factor, vector):
+    """Total + factor * vector, rows or lines with a number as factor, rounded once."""
+
+    def generate(_context, builder, signature, arguments):
+        kind = VECTOR if signature.return_type is ROW else SHORT_VECTOR
+        total, factor, vector = arguments
+        return _call(builder, "fma", kind, splat(builder, factor, kind), vector, total)
+
+    return total(total, types.float64, total), generate
+
+
+@intrinsic
+def between(_typing, row, low, high):
+    """Whether all lanes are in ``low <= row <= high``; NaN is not."""
+
+    def generate(context, builder, signature, arguments):
+        low, high = (
+            splat(builder, context.cast(builder, value, kind, types.float64))
+            for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
+        )
+        above = builder.fcmp_ordered(">=", arguments[0], low)
+        below = builder.fcmp_ordered("<=", arguments[0], high)
+        lanes = builder.bitcast(builder.and_(above, below), ir.IntType(LANES))
+        return builder.icmp_unsigned("==", lanes, ir.Constant(ir.IntType(LANES), 2**LANES - 1))
+
+    return types.boolean(ROW, low, high), generate
+
+
+@intrinsic
+def if_positive(_typing, condition, value):
+    """The value where the condition is above zero, NaN elsewhere; of rows or of numbers."""
+
+    def generate(_context, builder, signature, arguments):
+        kind = VECTOR if signature.args[0] is ROW else DOUBLE
+        positive = builder.fcmp_ordered(">", arguments[0], ir.Constant(kind, None))
+        nan = ir.Constant(DOUBLE, math.nan)
+        return builder.select(
+            positive, arguments[1], splat(builder, nan) if kind is VECTOR else nan
+        )
+
+    kind = ROW if condition is ROW else types.float64
+    return kind(kind, kind), generate
+
+
+# bits of 1.0, and what the least error of the guess below takes from them
+_BITS_OF_ONE, _SHIFT = 0x3FF0000000000000, 0.0505 * 2**52
+
+
+@intrinsic
+def rough_inverse_cube_root(_typing, x):
+    """x^(-1/3) with an error of a few percent for positive x; of rows or of numbers.
+
+    The bits of a double, read as an integer, are nearly linear in its logarithm.
+    """
+
+    def generate(_context, builder, signature, arguments):
+        is_row = signature.args[0] is ROW
+        kind, integer = (VECTOR, INTEGERS) if is_row else (DOUBLE, INT64)
+
+        def constant(value):
+            number = ir.Constant(DOUBLE, value)
+            return splat(builder, number) if is_row else number
+
+        bits = builder.sitofp(builder.bitcast(arguments[0], integer), kind)
+        third = builder.fmul(bits, constant(-1.0 / 3.0))
+        guess = builder.fadd(third, constant((4.0 / 3.0) * _BITS_OF_ONE - _SHIFT))
+        return builder.bitcast(builder.fptosi(guess, integer), kind)
+
+    kind = ROW if x is ROW else types.float64
+    return kind(kind), generate
