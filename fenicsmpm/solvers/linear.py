@@ -18,7 +18,7 @@ DIRECT = {
     "pc_factor_mat_solver_type": "mumps",
     _WORKSPACE: 100,
     # a new pattern in each step: AMD finds its order in no time, Scotch and METIS take longer than
-    # the few factorizations that follow; AMF, a little faster, is not the same in each run on 3 ranks
+    # the few factorizations that follow; AMF, a little faster, does not repeat runs on 3 ranks
     "mat_mumps_icntl_7": 0,
 }
 _numbers = itertools.count()
