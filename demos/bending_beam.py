@@ -260,7 +260,7 @@ def plot(path, case, histories):
         last.plot(history[:, 0], history[:, 4])
     last.set_ylabel("energy / energy at the start")
     last.set_xlabel("t [s]")
-    last.set_ylim(0.0, 2.0)
+    last.set_ylim(bottom=0.0)
     last.grid(alpha=0.3)
     axes[-1].legend()
     path.parent.mkdir(parents=True, exist_ok=True)
