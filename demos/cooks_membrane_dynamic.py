@@ -50,7 +50,6 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from matplotlib.figure import Figure
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, io
 from fenicsmpm.diagnostics import probe
@@ -203,22 +202,16 @@ def compare(history):
 
 
 def plot(path, histories):
-    if MPI.COMM_WORLD.rank != 0:
-        return
     until = max(history[-1, 0] for history in histories.values())
     reference = np.loadtxt(REFERENCE, delimiter=",")
     reference = reference[reference[:, 0] <= until]
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    ax = figure.subplots()
-    ax.plot(reference[:, 0], reference[:, 2], "k--", lw=1, label="P2-P1 finite elements")
-    for label, history in histories.items():
-        ax.plot(history[:, 0], history[:, 2], label=label)
-    ax.set_xlabel("t [s]")
-    ax.set_ylabel("vertical displacement of the tip [m]")
-    ax.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
+    io.plot(
+        path,
+        {label: (history[:, 0], history[:, 2]) for label, history in histories.items()},
+        "t [s]",
+        "vertical displacement of the tip [m]",
+        reference={"P2-P1 finite elements": (reference[:, 0], reference[:, 2])},
+    )
 
 
 def single(case, until, output, movie):

@@ -38,7 +38,6 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem, mesh
-from matplotlib.figure import Figure
 
 from fenicsmpm import explicit, io, points
 from fenicsmpm.diagnostics import probe, roughness
@@ -152,22 +151,6 @@ def draw(path, sims):
     io.picture(path, panels, "mean stress p [Pa]", limits=(-0.1, 0.1))
 
 
-def plot(path, histories):
-    if MPI.COMM_WORLD.rank != 0:
-        return
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
-    ax = figure.subplots()
-    ax.axhline(REFERENCE, color="k", ls="--", lw=1, label="P2-P1 finite elements")
-    for label, history in histories.items():
-        ax.plot(history[:, 0], history[:, 1], label=label)
-    ax.set_xlabel("t [s]")
-    ax.set_ylabel("vertical displacement of the tip [m]")
-    ax.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
-
-
 def show(cases, steps, output):
     sims, histories = [], {}
     for case in cases:
@@ -180,7 +163,13 @@ def show(cases, steps, output):
     found = [results(case, sim, histories[case.label()], rows) for case, sim in sims]
     io.say(f"reference {REFERENCE} m by finite elements")
     draw(output / "mean_stress.png", sims)
-    plot(output / "tip.png", histories)
+    io.plot(
+        output / "tip.png",
+        {label: tuple(history.T) for label, history in histories.items()},
+        "t [s]",
+        "vertical displacement of the tip [m]",
+        reference={"P2-P1 finite elements": REFERENCE},
+    )
     io.say(f"mean_stress.png and tip.png are in {output}")
     return found
 

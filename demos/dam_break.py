@@ -36,7 +36,6 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem, mesh
-from matplotlib.figure import Figure
 
 from fenicsmpm import explicit, io, points
 from fenicsmpm.materials import NewtonianFluid
@@ -183,21 +182,6 @@ def results(case, history, rows):
         rows.row(case.label(), t, front, expected, deviation, volume, low, high)
 
 
-def plot(path, histories):
-    if MPI.COMM_WORLD.rank != 0:
-        return
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    ax = figure.subplots()
-    for label, history in histories.items():
-        ax.plot(history[:, 0], history[:, 1], label=label)
-    ax.set_xlabel("t since the gate [s]")
-    ax.set_ylabel("foremost point [m]")
-    ax.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
-
-
 def show(cases, until, output):
     runs, histories = [], {}
     pictures = [t for t in (0.4, 0.8, 1.2, 2.0) if t <= until + 1e-9] or [until]
@@ -214,7 +198,8 @@ def show(cases, until, output):
             bounds = ((0, 0), (cases[k].wall, 3.0))
             path = output / f"dam_break_{cases[k].averages}_{cases[k].basis}.png"
             io.picture(path, shots, "pressure [kPa]", limits=(0.0, 20.0), bounds=bounds)
-    plot(output / "dam_break_front.png", histories)
+    fronts = {label: (history[:, 0], history[:, 1]) for label, history in histories.items()}
+    io.plot(output / "dam_break_front.png", fronts, "t since the gate [s]", "foremost point [m]")
     io.say(f"dam_break_*.png are in {output}")
     return runs
 

@@ -31,7 +31,6 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem, mesh
-from matplotlib.figure import Figure
 
 from fenicsmpm import explicit, io, points
 from fenicsmpm.materials import VonMises
@@ -109,7 +108,7 @@ def build(case):
 # Until `SETTLING` it is damped and as strong as it was; then not.
 
 
-def run(case, until, output, restart=False, interval=0.05):
+def run(case, until, output, restart=False, interval=0.05, seconds_between_saves=0.25):
     sim = build(case)
     (body,) = sim.bodies
     checkpoint, saved = output / f"{case.files()}.h5", None
@@ -137,8 +136,9 @@ def run(case, until, output, restart=False, interval=0.05):
             end = SETTLING + until
             for step in io.watch(sim.run(end, interval), end, case.label()):
                 history.write()
-                series.write(step.time)
-                io.checkpoint.save(checkpoint, sim)
+                if len(series.times) * seconds_between_saves < step.time - SETTLING + 1e-9:
+                    series.write(step.time)
+                    io.checkpoint.save(checkpoint, sim)
         except explicit.UnstableError as error:
             io.say(f"  it ends at t = {sim.time - SETTLING:.3f} s: {error}")
     return sim, np.loadtxt(table, delimiter=",", comments=["#", "t"], ndmin=2)
@@ -161,21 +161,6 @@ def draw(path, runs):
     io.picture(path, panels, "equivalent plastic strain", limits=(0.0, 2.0))
 
 
-def plot(path, runs):
-    if MPI.COMM_WORLD.rank != 0:
-        return
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    ax = figure.subplots()
-    for case, _, history in runs:
-        ax.plot(history[:, 0], history[:, 1], label=case.label())
-    ax.set_xlabel("t since the failure [s]")
-    ax.set_ylabel("run-out [m]")
-    ax.grid(alpha=0.3)
-    figure.legend(loc="outside upper center")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
-
-
 def show(cases, until, output, restart):
     runs = [(case, *run(case, until, output, restart)) for case in cases]
     rows = io.Table(
@@ -186,7 +171,8 @@ def show(cases, until, output, restart):
         if len(history):
             rows.row(case.label(), *history[-1])
     draw(output / "landslide.png", runs)
-    plot(output / "landslide_run_out.png", runs)
+    run_outs = {case.label(): (history[:, 0], history[:, 1]) for case, _, history in runs}
+    io.plot(output / "landslide_run_out.png", run_outs, "t since the failure [s]", "run-out [m]")
     io.say(f"landslide.png, landslide_run_out.png and landslide_*.pvd are in {output}")
     return runs
 

@@ -31,7 +31,6 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem, mesh
-from matplotlib.figure import Figure
 
 from fenicsmpm import explicit, io, points
 from fenicsmpm.materials import VonMises
@@ -147,22 +146,6 @@ def draw(path, sims):
     io.picture(path, panels, "mean stress / shear strength", limits=(-5.0, 0.0))
 
 
-def plot(path, histories):
-    if MPI.COMM_WORLD.rank != 0:
-        return
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
-    ax = figure.subplots()
-    ax.axhline(PRANDTL, color="k", ls="--", lw=1, label="Prandtl, 2 + pi")
-    for label, history in histories.items():
-        ax.plot(history[:, 0], history[:, 1], label=label)
-    ax.set_xlabel("settlement / width of the footing")
-    ax.set_ylabel("load / shear strength")
-    ax.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
-
-
 def show(cases, output):
     sims, histories = [], {}
     for case in cases:
@@ -174,7 +157,13 @@ def show(cases, output):
     for label, history in histories.items():
         rows.row(label, plateau(history), PRANDTL, plateau(history) / PRANDTL - 1)
     draw(output / "strip_footing.png", sims)
-    plot(output / "strip_footing_load.png", histories)
+    io.plot(
+        output / "strip_footing_load.png",
+        {label: tuple(history.T) for label, history in histories.items()},
+        "settlement / width of the footing",
+        "load / shear strength",
+        reference={"Prandtl, 2 + pi": PRANDTL},
+    )
     io.say(f"strip_footing.png and strip_footing_load.png are in {output}")
     return histories
 

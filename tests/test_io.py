@@ -159,6 +159,22 @@ def test_picture_has_the_colours_of_the_values(directory):
     assert painted(directory / "component.png", 0.5) > 0.15
 
 
+def test_plot_shows_curves_and_references(directory):
+    t = np.linspace(0, 1, 50)
+    path = directory / "new" / "plot.png"
+    io.plot(path, {"a": (t, t**2)}, "t [s]", "u [m]", reference={"b": (t, t), "c": 0.5})
+    if MPI.COMM_WORLD.rank == 0:
+        image = 255 * matplotlib.image.imread(path)[:, :, :3]
+        assert image.shape == (720, 1120, 3)
+        blue = (np.abs(image - (31, 119, 180)) < 40).all(axis=2)
+        black = (image < 60).all(axis=2)
+        assert blue.sum() > 800 and black.sum() > 3000
+    with pytest.raises(ValueError):
+        io.plot(path, {"a": (t, t[1:])}, "t [s]", "u [m]")
+    with pytest.raises(OSError):
+        io.plot("/proc/none/plot.png", {"a": (t, t)}, "t [s]", "u [m]")
+
+
 def test_picture_in_space(directory):
     domain = unit_mesh("hexahedron", 2)
     p, _ = functions(domain)

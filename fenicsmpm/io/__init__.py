@@ -6,6 +6,7 @@ from fenicsmpm.io.console import Table, progress, say, show_log, watch
 from fenicsmpm.io.history import History, read_history
 from fenicsmpm.io.movie import animate
 from fenicsmpm.io.pictures import Panel, colour_range, picture
+from fenicsmpm.io.plots import plot
 from fenicsmpm.io.results import gather_functions, gather_points, write
 from fenicsmpm.io.series import Series
 
@@ -20,6 +21,7 @@ __all__ = [
     "gather_functions",
     "gather_points",
     "picture",
+    "plot",
     "progress",
     "read_history",
     "say",
