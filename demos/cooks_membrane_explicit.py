@@ -40,7 +40,7 @@ import numpy as np
 from dolfinx import fem, mesh
 
 from fenicsmpm import explicit, io, points
-from fenicsmpm.diagnostics import probe, roughness
+from fenicsmpm.diagnostics import mean_stress, probe, roughness
 from fenicsmpm.materials import NeoHookean
 
 REFERENCE = 0.2765  # m, u_y of the tip by P2-P1 finite elements, nu = 0.499
@@ -127,16 +127,12 @@ def run(case, steps):
     return sim, np.array(history)
 
 
-def mean_stress(body):
-    return np.trace(body["sigma"], axis1=1, axis2=2) / 3
-
-
 def results(case, sim, history, rows):
     t, u = history.T
     last_quarter = u[t >= 0.75 * t[-1]]
     change = np.ptp(last_quarter) / abs(u[-1]) if u[-1] else 0.0
     body = sim.bodies[0]
-    rough = roughness(body, mean_stress(body), case.h / 2) / (LOAD / 16)
+    rough = roughness(body, mean_stress(body["sigma"]), case.h / 2) / (LOAD / 16)
     rows.row(case.averages, BASES[case.basis], u[-1], u[-1] / REFERENCE - 1, change, rough)
     return {"tip": u[-1], "change": change, "roughness": rough}
 
@@ -146,7 +142,7 @@ def draw(path, sims):
     for case, sim in sims:
         cloud = io.gather_points(sim.bodies[0])
         if cloud is not None:
-            cloud["p"] = np.trace(cloud["sigma"].reshape(-1, 3, 3), axis1=1, axis2=2) / 3
+            cloud["p"] = mean_stress(cloud["sigma"])
         panels.append(io.Panel(cloud, "p", case.label()))
     io.picture(path, panels, "mean stress p [Pa]", limits=(-0.1, 0.1))
 
@@ -180,24 +176,27 @@ def show(cases, steps, output):
 def main(arguments=None):
     parser = argparse.ArgumentParser(description="Cook's membrane, explicit, nearly incompressible")
     add = parser.add_argument
-    add("--basis", choices=BASES, nargs="+", default=["quadratic"], help="grid functions")
-    add("--averages", choices=AVERAGES, nargs="+", default=["F-bar", "standard"], help="of J")
+    add("--basis", choices=BASES, nargs="+", help="grid functions (default: quadratic)")
+    add("--averages", choices=AVERAGES, nargs="+", help="of J (default: F-bar standard)")
     add("--size", type=float, default=1.0, help="of cells in m (default: %(default)s)")
-    add("--steps", type=int, default=20000, help="(default: %(default)s)")
+    add("--steps", type=int, help="(default: 20000)")
     add("--full", action="store_true", help="60000 steps, all averages, B-splines and uGIMP")
     add("--short", action="store_true", help="a few steps on a coarse grid, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     options = parser.parse_args(arguments)
     if options.size <= 0 or abs(2 / options.size - round(2 / options.size)) > 1e-9:
         parser.error(f"argument --size: must divide 2 m into equal parts, not {options.size}")
-    if options.steps < 1:
+    if options.steps is not None and options.steps < 1:
         parser.error(f"argument --steps: at least 1, not {options.steps}")
+    if options.full and (options.short or options.basis or options.averages or options.steps):
+        parser.error("argument --full: it has cases of its own, so only --size goes with it")
+    if options.short and options.steps:
+        parser.error("argument --short: it has steps of its own, so leave out --steps")
     io.show_log(logging.WARNING)
-    bases, averages, h, steps = options.basis, options.averages, options.size, options.steps
-    if options.full:
-        bases, averages, steps = list(BASES), list(AVERAGES), 60000
-    if options.short:
-        h, steps = 2.0, 200
+    bases = list(BASES) if options.full else options.basis or ["quadratic"]
+    averages = list(AVERAGES) if options.full else options.averages or ["F-bar", "standard"]
+    h = 2.0 if options.short else options.size
+    steps = 200 if options.short else 60000 if options.full else options.steps or 20000
     cases = [Case(basis, average, h) for basis in bases for average in averages]
     return show(cases, steps, options.output)
 

@@ -33,6 +33,7 @@ import numpy as np
 from dolfinx import fem, mesh
 
 from fenicsmpm import explicit, io, points
+from fenicsmpm.diagnostics import mean_stress
 from fenicsmpm.materials import VonMises
 
 WIDTH = 1.0  # of the footing, B, m
@@ -78,13 +79,8 @@ def build(case):
     explicit.set_initial_state(ground, CLAY, DENSITY)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
 
-    def roller(component, where):
-        part = V.sub(component)
-        dofs = fem.locate_dofs_geometrical((part, part.collapse()[0]), where)[0]
-        return fem.dirichletbc(fem.Constant(domain, 0.0), dofs, part)
-
-    sides = roller(0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], size))
-    floor = roller(1, lambda x: np.isclose(x[1], 0))
+    sides = explicit.roller(V, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], size))
+    floor = explicit.roller(V, 1, lambda x: np.isclose(x[1], 0))
     wave = math.sqrt(CLAY.wave_speed_modulus / DENSITY)
     footing = explicit.RigidBox(
         lower=(-WIDTH, size),
@@ -140,8 +136,7 @@ def draw(path, sims):
     for case, sim in sims:
         cloud = io.gather_points(sim.bodies[0])
         if cloud is not None:
-            trace = np.trace(cloud["sigma"].reshape(-1, 3, 3), axis1=1, axis2=2)
-            cloud["p"] = trace / 3 / STRENGTH
+            cloud["p"] = mean_stress(cloud["sigma"]) / STRENGTH
         panels.append(io.Panel(cloud, "p", case.label()))
     io.picture(path, panels, "mean stress / shear strength", limits=(-5.0, 0.0))
 
@@ -175,9 +170,9 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description="Strip footing on clay, explicit")
     add = parser.add_argument
     default = Case()
-    add("--basis", choices=BASES, nargs="+", default=["quadratic"], help="grid functions")
-    add("--averages", choices=AVERAGES, nargs="+", default=["F-bar"], help="of J")
-    add("--cells", type=int, default=default.cells, help="a width (default: %(default)s)")
+    add("--basis", choices=BASES, nargs="+", help="grid functions (default: quadratic)")
+    add("--averages", choices=AVERAGES, nargs="+", help="of J (default: F-bar)")
+    add("--cells", type=int, help=f"a width (default: {default.cells})")
     add("--speed", type=float, default=default.speed, help="of the footing per wave speed")
     add("--penetration", type=float, default=default.penetration, help="in widths")
     add("--full", action="store_true", help="20, 40 and 80 cells, F-bar and standard, both bases")
@@ -185,8 +180,12 @@ def main(arguments=None):
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     options = parser.parse_args(arguments)
     for name in ("cells", "speed", "penetration"):
-        if not getattr(options, name) > 0:
-            parser.error(f"argument --{name}: must be positive, not {getattr(options, name)}")
+        value = getattr(options, name)
+        if value is not None and not value > 0:
+            parser.error(f"argument --{name}: must be positive, not {value}")
+    chosen = [name for name in ("basis", "averages", "cells") if getattr(options, name)]
+    if (options.full or options.short) and (chosen or options.full is options.short):
+        parser.error("--full and --short have cases of their own: no other, nor both of them")
     io.show_log(logging.WARNING)
     common = {"penetration": options.penetration, "speed": options.speed}
     if options.full:
@@ -200,9 +199,9 @@ def main(arguments=None):
         cases = [Case("quadratic", "F-bar", 4, 0.0004, 5e-4)]
     else:
         cases = [
-            Case(basis, averages, options.cells, **common)
-            for basis in options.basis
-            for averages in options.averages
+            Case(basis, averages, options.cells or default.cells, **common)
+            for basis in options.basis or ["quadratic"]
+            for averages in options.averages or ["F-bar"]
         ]
     return show(cases, options.output)
 

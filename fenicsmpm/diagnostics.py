@@ -73,6 +73,18 @@ def strain_energy(body: MaterialPoints, law: NeoHookean) -> float:
     return float(forms.assemble_scalar(forms.form(energy * body.dx)))
 
 
+def mean_stress(sigma: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """A third of the trace of stresses.
+
+    Args:
+        sigma: ``(n, 3, 3)``, or ``(n, 9)`` as ``io.gather_points`` has them [Pa].
+
+    Returns:
+        ``(n,)`` [Pa], positive in tension.
+    """
+    return np.asarray(sigma).reshape(-1, 9)[:, [0, 4, 8]].mean(axis=1)
+
+
 def roughness(body: MaterialPoints, values: npt.NDArray[np.float64], spacing: float) -> float:
     """How much a field oscillates from point to point (collective).
 

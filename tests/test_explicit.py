@@ -12,7 +12,7 @@ import pytest
 from dolfinx import fem, mesh
 
 from fenicsmpm import explicit, io, points
-from fenicsmpm.diagnostics import momentum, roughness
+from fenicsmpm.diagnostics import mean_stress, momentum, roughness
 from fenicsmpm.materials import (
     Hencky,
     Law,
@@ -150,13 +150,14 @@ def test_load_and_gravity(dim):
     body, V, centre = block(dim)
     load = body.select(lambda x: np.abs(x - centre).max(axis=1) < 0.06)
     load.add_field("force", (dim,), np.arange(1.0, dim + 1))
+    start = load.x.copy()
     g = np.array([0.0, -3.0, 1.0])[:dim]
     sim = explicit.ExplicitMPM(V, {body: RUBBER}, gravity=g, loads=[load])
     for _ in range(5):
         sim.step()
     force = load["force"].sum(axis=0) + g * body["mass"].sum()
     assert momentum(body) == pytest.approx(sim.time * force, rel=1e-12)
-    assert load["u"] == pytest.approx(load.x - (load.x - load["u"]))
+    assert load["u"] == pytest.approx(load.x - start, abs=1e-15)
     assert np.abs(load["u"]).max() > 0
 
 
@@ -327,7 +328,7 @@ def test_averages_remove_a_checkerboard():
     for name, fbar in (("standard", None), ("averaged", explicit.TRUE_J)):
         copy = body.copy()
         explicit.ExplicitMPM(V, {copy: law}, fbar=fbar, dt=1e-6).step()
-        p = np.trace(copy["sigma"], axis1=1, axis2=2) / 3
+        p = mean_stress(copy["sigma"])
         rough[name] = roughness(copy, p, 0.025)
     assert rough["averaged"] < 0.2 * rough["standard"]
 
@@ -435,7 +436,7 @@ def test_wrong_input():
     ):
         with pytest.raises(ValueError, match=message):
             explicit.ExplicitMPM(V, {body: RUBBER}, **options)
-    with pytest.raises(ValueError, match="shares of F-bar"):
+    with pytest.raises(ValueError, match="r of F-bar"):
         explicit.FBar(r=-0.1)
     sim = explicit.ExplicitMPM(V, {body: RUBBER})
     for until, interval in ((np.inf, None), (1.0, 0.0)):

@@ -5,6 +5,7 @@ from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.explicit_mpm import ExplicitMPM, Step, UnstableError
 from fenicsmpm.explicit.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.explicit.initial_state import set_initial_state
+from fenicsmpm.explicit.walls import roller
 
 __all__ = [
     "ALGORITHM_1",
@@ -15,5 +16,6 @@ __all__ = [
     "Step",
     "UnstableError",
     "default_fbar",
+    "roller",
     "set_initial_state",
 ]

@@ -8,7 +8,8 @@ potential contact, ACM Trans. Graph. 39, 2020), as Y. Zhao, C. Jiang, J. Choo us
 
 zero from the reach r on and infinite at contact. Friction is Coulomb's. Explicit steps are too long
 for gaps that are nearly closed: a point that would come nearer than a hundredth of the reach is
-put there, with the velocity of the box; so no point ever enters a box.
+put there, and no longer approaches the box. So no point enters a box that is thicker than twice the
+way of a step; one that is in it from the beginning is an error.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -90,9 +91,16 @@ class RigidBox:
         return self._upper + self.moved
 
     def velocity_at(self, time: float) -> npt.NDArray[np.float64]:
-        """Velocity (d,) [m/s]."""
+        """Velocity (d,) [m/s].
+
+        Raises:
+            ValueError: if it is not finite.
+        """
         value = self.velocity(time) if callable(self.velocity) else self.velocity
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), self.force.shape).copy()
+        velocity = np.broadcast_to(np.asarray(value, dtype=np.float64), self.force.shape).copy()
+        if not np.isfinite(velocity).all():
+            raise ValueError(f"velocity of a rigid box must be finite: {velocity} at t = {time} s")
+        return velocity
 
 
 class Contact(NamedTuple):
@@ -130,16 +138,22 @@ def contact(dim: int, kind: int) -> Contact:
 
     @_njit
     def push(nodes, half, x, v, mass, lower, upper, velocity, reach, stiffness, friction, dt, rows):
-        """Contact forces to the nodes, and their sum ``(d,)``; points in blocks."""
+        """Contact forces to the nodes; points in blocks.
+
+        Returns:
+            Their sum ``(d,)``, and a block with a point inside of the box, or -1.
+        """
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         normal, force, total = np.zeros(3), np.zeros(dim), np.zeros(dim)
-        filled = -1
+        filled, bad = -1, -1
         for block in range(len(mass)):
             for i in range(LANES):
                 distance = gap(x, block, i, lower, upper, normal)
                 if distance >= reach:
                     continue
+                if distance < 0.0:
+                    bad = block
                 m = mass[block, i]
                 s = max(distance / reach, _CLOSEST)
                 strength = stiffness * m * reach / (dt * dt)
@@ -161,12 +175,17 @@ def contact(dim: int, kind: int) -> Contact:
                     fill(x, block, nodes, half, base, w, d)
                     filled = block
                 add(i, nodes, base, w, force, rows)
-        return total
+        return total, bad
 
     @_njit
-    def hold_back(x_next, v, mass, lower, upper, velocity, reach, dt):
-        """Keep points out of a box at its new place; the force that this took, ``(d,)``."""
-        normal, total = np.zeros(3), np.zeros(dim)
+    def hold_back(nodes, x_next, v, mass, lower, upper, velocity, reach, dt):
+        """Keep points out of a box at its new place.
+
+        Returns:
+            The force that this took, ``(d,)``, and a block with a point that has left the lattice
+            by this, or -1.
+        """
+        normal, total, bad = np.zeros(3), np.zeros(dim), -1
         for block in range(len(mass)):
             for i in range(LANES):
                 distance = gap(x_next, block, i, lower, upper, normal)
@@ -176,10 +195,13 @@ def contact(dim: int, kind: int) -> Contact:
                 for k in range(dim):
                     x_next[block * dim + k, i] += (_CLOSEST * reach - distance) * normal[k]
                     approach += (v[block * dim + k, i] - velocity[k]) * normal[k]
+                    t = (x_next[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
+                    if not 0 <= t <= nodes.shape[k] - 1:
+                        bad = block
                 if approach < 0.0:
                     for k in range(dim):
                         v[block * dim + k, i] -= approach * normal[k]
                         total[k] -= mass[block, i] * approach * normal[k] / dt
-        return total
+        return total, bad
 
     return Contact(push, hold_back)

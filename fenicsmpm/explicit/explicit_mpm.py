@@ -11,7 +11,6 @@ from typing import Literal
 
 from mpi4py import MPI
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -24,7 +23,6 @@ from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.fbar import FBar, default_fbar
 from fenicsmpm.explicit.parts import Load, Part
 from fenicsmpm.formulations.time_scheme import check_time_step
-from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.stopwatch import Stopwatch
@@ -60,7 +58,7 @@ class ExplicitMPM:
     Args:
         V: space of velocities on the background mesh, linear Lagrange with d components.
         bodies: material points with the fields of ``explicit.set_initial_state``, and their laws.
-            Bodies meet on the grid, without slip.
+            Bodies meet on the grid, without slip; each has averages of J of its own.
         basis: grid functions: "linear", "gimp", "quadratic" or "cubic".
         bcs: Dirichlet conditions on velocities, on V or its components: all for fixed nodes, the
             normal component for rollers and slip walls.
@@ -73,13 +71,18 @@ class ExplicitMPM:
             ``explicit.default_fbar`` says.
         loads: points that carry forces in a field "force" (d,) [N] and move with the grid.
         rigid: boxes that bodies cannot enter.
-        data: called with the time at the beginning of each step, to set loads and boundary values.
+        data: called with the time at the beginning of each step, to set loads and boundary values;
+            positions of points are those of when ``run`` yielded last or up to 100 steps before.
 
     Attributes:
         time: [s].
         number: of steps done.
         dt: length of the last step [s], before the first of that.
+        bodies: material points.
+        carried: points that carry forces.
         laws: law of each body; may be replaced by one of the same kind with other parameters.
+        bcs: may be changed between steps, as may gravity (3,), flip, damping and data.
+        rigid: boxes.
         reaction: force on the grid by Dirichlet conditions in the last step, (3,) [N].
         seconds: time spent in each stage so far [s].
 
@@ -115,36 +118,39 @@ class ExplicitMPM:
             )
         if basis not in KINDS:
             raise ValueError(f"no grid functions {basis!r}: there are {', '.join(KINDS)}")
-        if not bodies:
-            raise ValueError("ExplicitMPM needs a body")
+        _check_points(V, [*bodies, *loads], len(bodies))
         lattice = lattice_of(V.mesh)
         self.V, self._spacing = V, lattice.spacing
         self._kind = KINDS[basis]
         _check_space(V, lattice.shape, WIDTH[self._kind])
         self._nodes = grid.nodes_of(lattice)
         self._parts = [
-            Part(body, law, self._kind, default_fbar(law) if fbar == "default" else fbar)
+            Part(
+                body, law, self._kind, default_fbar(law) if fbar == "default" else fbar, self._nodes
+            )
             for body, law in bodies.items()
         ]
         self.bodies, self.carried, self.laws = list(bodies), list(loads), dict(bodies)
         self._loads = [Load(points, self._kind) for points in loads]
         self.bcs, self.rigid = list(bcs), list(rigid)
         self.gravity = np.zeros(3)
+        dim = len(self._spacing)
         if gravity is not None:
-            self.gravity[: len(self._spacing)] = gravity
+            if np.shape(gravity) != (dim,) or not np.isfinite(gravity).all():
+                raise ValueError(f"gravity must be {dim} finite numbers, not {gravity!r}")
+            self.gravity[:dim] = gravity
+        if any(len(box.force) != dim for box in rigid):
+            raise ValueError(f"a rigid box needs corners of {dim} numbers here")
         self.flip, self.damping, self.data = flip, damping, data
         self.time, self.number = 0.0, 0
         self.reaction = np.zeros(3)
         self.seconds = Stopwatch()
-        threads, size = numba.get_num_threads(), self._nodes.size
-        self._rows = grid.empty_rows(threads, size, LANES)
-        self._averages = grid.empty_rows(threads, size, LINE_LANES)
-        self._sums = np.zeros(size)
+        self._forces = np.zeros((self._nodes.size if loads else 0, 3))
         self._cfl, self._given_dt, self._unsorted, self._warned = cfl, dt, 0, False
-        self._fixed = grid.constraints(self._nodes, V, self.bcs)
         masses = [float(np.min(body["mass"], initial=np.inf)) for body in self.bodies]
         # far below any point's share in a node whose support it is in
         self._least_mass = 1e-16 * V.mesh.comm.allreduce(min(masses), MPI.MIN)
+        self._supports = grid.Supports(self._nodes, V, self.bcs)
         self.dt = self._step_length()
 
     # --- steps -------------------------------------------------------------------------------
@@ -176,10 +182,9 @@ class ExplicitMPM:
         """
         if not math.isfinite(until) or not (interval is None or interval > 0):
             raise ValueError(f"run until {until} s at intervals of {interval} s")
-        start, count = self.time, 0
         while until - self.time > 1e-9 * self.dt:
-            count += 1
-            stop = until if interval is None else min(until, start + count * interval)
+            # from where it is, so that a restart there does the same
+            stop = until if interval is None else min(until, self.time + interval)
             while stop - self.time > 1e-9 * self.dt:
                 # equal steps that end at the stop, none longer than it may be
                 left = stop - self.time
@@ -187,6 +192,8 @@ class ExplicitMPM:
                 self._advance(min(steps, 1 if interval is None else STEPS_OF_A_BLOCK), left / steps)
                 if interval is None:
                     break
+            else:
+                self.time = stop  # without the round-off of the sum of steps
             yield Step(self.number, self.time, self.dt)
 
     def _advance(self, steps: int, dt: float) -> None:
@@ -196,17 +203,17 @@ class ExplicitMPM:
         clock = self.seconds
         try:
             with clock("begin"):
-                grid.clear(self._rows)
+                self._supports = grid.Supports(self._nodes, self.V, self.bcs)
+                self._fixed = self._supports.now()
                 for part in self._parts:
-                    part.begin(len(self._rows), self.laws[part.points])
-                    part.scatter(self._rows, self._nodes)
+                    part.begin(self.laws[part.points])
                 for load in self._loads:
                     load.begin()
-                self._fixed = grid.constraints(self._nodes, self.V, self.bcs)
             for k in range(steps):
                 self._one_step(again=k < steps - 1)
                 self.time += self.dt
                 self.number += 1
+            self._raise_if([p.describe(bad) for p in self._parts if (bad := p.bad_stress()) >= 0])
         except BaseException:
             self.time, self.number, ways = before
             for box, way in zip(self.rigid, ways, strict=True):
@@ -216,59 +223,87 @@ class ExplicitMPM:
             self._unsorted += steps
             sort = self._unsorted >= STEPS_OF_A_BLOCK
             for part in self._parts:
-                part.settle(self._nodes, sort)
+                part.settle(sort)
             for load in self._loads:
                 load.settle()
             if sort:
                 self._unsorted = 0
 
     def _one_step(self, again: bool) -> None:
-        rows, averages, nodes, clock = self._rows, self._averages, self._nodes, self.seconds
+        clock = self.seconds
         if self.data is not None:
             self.data(self.time)
-            self._fixed = grid.constraints(nodes, self.V, self.bcs)
+            self._fixed = self._supports.now()
         with clock("nodes"):
-            self._move_nodes()
-            grid.clear(averages)
+            rows = self._move_nodes()
         with clock("gather"):
-            bad = [
-                part.gather(rows[0], averages, nodes, self.dt, self.flip) for part in self._parts
-            ]
+            bad = [part.gather(rows, self.dt, self.flip) for part in self._parts]
+            self._raise_if([p.describe(b) for p, b in zip(self._parts, bad, strict=True) if b >= 0])
             self._hold_back()
-            self._raise_if(bad)
         with clock("nodes"):
-            grid.sum_averages(averages, self._sums)
-            self._add_ranks(self._sums)
-            grid.average_nodes(rows, self._sums, averages[0])
+            for part in self._parts:
+                part.average(self._add_ranks)
         with clock("finish"):
             for part in self._parts:
-                part.finish(averages[0], nodes, again, rows)
+                part.finish(again)
 
-    def _move_nodes(self) -> None:
-        """From the points' mass, momentum and forces to velocities of the nodes."""
-        rows, nodes, dt = self._rows, self._nodes, self.dt
-        for load in self._loads:
-            load.add_forces(rows[0], nodes)
+    def _move_nodes(self) -> npt.NDArray[np.float64]:
+        """From the points' mass, momentum and forces to velocities of the nodes, ``(n, 8)``."""
+        nodes, dt = self._nodes, self.dt
+        self._push()
+        for part in self._parts:
+            grid.sum_threads(part.rows)
+            self._add_ranks(part.rows[0])
+        rows = self._parts[0].rows[0]
+        for part in self._parts[1:]:
+            grid.add_body(part.rows[0], rows)
+        if self._loads:
+            self._add_loads(rows)
+        self.reaction = grid.reactions(rows, dt, self.gravity, *self._fixed)
+        grid.update_nodes(rows, dt, self.gravity, self.damping, self._least_mass)
+        grid.constrain(rows, *self._fixed)
+        if self._loads:
+            bad = [load.follow(rows, nodes, self._least_mass, dt) for load in self._loads]
+            self._raise_if(_describe_loads(self._loads, bad, "leaves the lattice"))
+        return rows
+
+    def _add_loads(self, rows: npt.NDArray[np.float64]) -> None:
+        """Add the forces of loads to nodes that have mass."""
+        forces, nodes = self._forces, self._nodes
+        forces[:] = 0.0
+        bad = [load.add_forces(rows, forces, nodes, self._least_mass) for load in self._loads]
+        self._raise_if(_describe_loads(self._loads, bad, "is away from all bodies"))
+        self._add_ranks(forces)
+        rows[:, 5:] += forces
+
+    def _push(self) -> None:
+        """Contact forces of rigid boxes."""
+        messages = []
         for box in self.rigid:
             velocity = box.velocity_at(self.time)
-            forces = [part.push(box, velocity, dt, rows[0], nodes) for part in self._parts]
-            box.force = np.sum(forces, axis=0)
-        grid.sum_threads(rows)
-        self._add_ranks(rows[0])
-        self.reaction = grid.reactions(rows[0], dt, self.gravity, *self._fixed)
-        grid.update_nodes(rows[0], dt, self.gravity, self.damping, self._least_mass)
-        grid.constrain(rows[0], *self._fixed)
-        for load in self._loads:
-            load.follow(rows[0], nodes, dt)
+            box.force = np.zeros_like(box.force)
+            for part in self._parts:
+                force, bad = part.push(box, velocity, self.dt)
+                box.force += force
+                if bad >= 0:
+                    messages.append(f"a point is inside of the box {box.lower} ... {box.upper}")
+        if self.rigid:
+            self._raise_if(messages)
 
     def _hold_back(self) -> None:
         """Move rigid boxes, and keep points out of them."""
+        messages = []
         for box in self.rigid:
             velocity = box.velocity_at(self.time)
             box.moved = box.moved + self.dt * velocity
-            forces = [part.hold_back(box, velocity, self.dt) for part in self._parts]
-            box.force += np.sum(forces, axis=0)
+            for part in self._parts:
+                force, bad = part.hold_back(box, velocity, self.dt)
+                box.force += force
+                if bad >= 0:
+                    messages.append(part.describe(bad))
             self._add_ranks(box.force)
+        if self.rigid:
+            self._raise_if(messages)
 
     def _add_ranks(self, array: npt.NDArray[np.float64]) -> None:
         """Sum an array over all ranks. Each has all nodes, of which there are fewer than points."""
@@ -276,28 +311,24 @@ class ExplicitMPM:
         if comm.size > 1:
             comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
 
-    def _raise_if(self, bad: list[int]) -> None:
-        found = [
-            part.describe(block, self._nodes)
-            for part, block in zip(self._parts, bad, strict=True)
-            if block >= 0
-        ]
+    def _raise_if(self, messages: list[str]) -> None:
+        """Raise on all ranks if there is a message on any (collective)."""
         comm = self.V.mesh.comm
-        message = found[0] if found else None
         if comm.size > 1:
-            message = next((m for m in comm.allgather(message) if m is not None), None)
-        if message is not None:
+            messages = [m for some in comm.allgather(messages) for m in some]
+        if messages:
             raise UnstableError(
                 f"step {self.number + 1}, t = {self.time + self.dt:g} s, dt = {self.dt:g} s: "
-                f"{message}; the stable step is about {self._stable_step():g} s"
+                f"{messages[0]}; the stable step is about {self._stable_step():g} s"
             )
 
     # --- checkpoints ---------------------------------------------------------------------------
 
     @property
     def method(self) -> str:
-        """Name of the method."""
-        return type(self).__name__
+        """Name of the method, with the number of boxes, whose ways are in ``memory``."""
+        boxes = f" with {len(self.rigid)} rigid boxes" if self.rigid else ""
+        return type(self).__name__ + boxes
 
     @property
     def memory(self) -> dict[str, float]:
@@ -332,15 +363,13 @@ class ExplicitMPM:
 
     def _step_length(self) -> float:
         stable = self._stable_step()
-        if self._given_dt is None:
-            return self._cfl * stable
-        if self._given_dt > stable and not self._warned:
+        dt = self._cfl * stable if self._given_dt is None else self._given_dt
+        if dt > stable and not self._warned:
             self._warned = True
             logger.warning(
-                "the time step of %g s is above the limit of stability, about %g s",
-                self._given_dt, stable,
-            )  # fmt: skip
-        return self._given_dt
+                "the time step of %g s is above the limit of stability, about %g s", dt, stable
+            )
+        return dt
 
     def __repr__(self) -> str:
         """Bodies and time."""
@@ -348,6 +377,26 @@ class ExplicitMPM:
         return (
             f"ExplicitMPM: {bodies}\n  step {self.number}, t = {self.time:g} s, dt = {self.dt:g} s"
         )
+
+
+def _describe_loads(loads: list[Load], bad: list[int], what: str) -> list[str]:
+    return [load.describe(p, what) for load, p in zip(loads, bad, strict=True) if p >= 0]
+
+
+def _check_points(V: fem.FunctionSpace, sets: list[MaterialPoints], n_bodies: int) -> None:
+    if n_bodies == 0:
+        raise ValueError("ExplicitMPM needs a body")
+    if len({id(points) for points in sets}) < len(sets):
+        raise ValueError(
+            "a point set is given twice as a body or load: select() its loaded points, which "
+            "gives a set of its own"
+        )
+    if any(points.mesh is not V.mesh for points in sets):
+        raise ValueError(
+            "bodies and loads must be on the mesh of V: bring them there with points.from_mesh"
+        )
+    if sum(points.size_global for points in sets[:n_bodies]) == 0:
+        raise ValueError("the bodies have no points")
 
 
 def _check_space(V: fem.FunctionSpace, cells: npt.NDArray[np.int64], width: int) -> None:

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from fenicsmpm.materials import Law, NewtonianFluid
+from fenicsmpm.materials import Law
 
 
 @dataclass(frozen=True)
@@ -18,12 +19,13 @@ class FBar:
     equation 18, an average of the true J only, less smooth. A small r keeps the smoothness, and
     J_bar close to J.
 
-    After that, ``F <- (J* / J)^(1/d) F`` with ``J* = J + s (J_bar - J)``: what holds together the
-    true J of neighbours where no stress does, in fluids and plastic flow.
+    Before each step, ``F <- (J* / J)^(1/d) F`` with ``J* = J + min(s e, 1) (J_bar - J)`` and the
+    norm e of the step's strain increment. It holds together the true J of neighbours where no
+    stress does, in fluids and plastic flow; what is at rest does not creep by it.
 
     Attributes:
         r: share of the true J, 0 to 1.
-        s: share of the difference by which the true J is corrected in each step, 0 to 1.
+        s: share of the difference by which the true J is corrected, per strain.
 
     Raises:
         ValueError: for shares out of range.
@@ -34,8 +36,10 @@ class FBar:
 
     def __post_init__(self) -> None:
         """Check the shares."""
-        if not (0 <= self.r <= 1 and 0 <= self.s <= 1):
-            raise ValueError(f"shares of F-bar must lie in [0, 1]: r = {self.r}, s = {self.s}")
+        if not (0 <= self.r <= 1 and 0 <= self.s < math.inf):
+            raise ValueError(
+                f"r of F-bar must lie in [0, 1], s be finite and not negative: {self.r}, {self.s}"
+            )
 
 
 ALGORITHM_1 = FBar(r=0.0)
@@ -47,5 +51,4 @@ def default_fbar(law: Law) -> FBar:
 
     A law that remembers something, such as plastic strain, is taken for one that flows.
     """
-    flows = isinstance(law, NewtonianFluid) or law.n_state > 0
-    return FBar(r=0.1, s=0.01) if flows else FBar()
+    return FBar(r=0.1, s=100.0) if law.is_fluid or law.n_state > 0 else FBar()

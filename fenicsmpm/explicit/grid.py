@@ -2,13 +2,15 @@
 """The lattice's nodes in an explicit step: rows of numbers, momentum balance, conditions.
 
 Nodes are numbered through, the last direction fastest, whatever dolfinx' numbers are. Each thread
-adds its points to rows of its own; they are summed up in the order of threads.
+adds its points to rows of its own; they are summed up in the order of threads. Bodies have rows of
+their own, too, because volumes and J of different bodies do not mix.
 """
 
 # mypy: disallow_untyped_defs=False
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
@@ -88,25 +90,34 @@ class Constraints(NamedTuple):
     values: npt.NDArray[np.float64]
 
 
-def constraints(nodes: Nodes, V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Constraints:
-    """Dirichlet conditions on velocities, with their values now, known to all ranks (collective).
+class Supports:
+    """Dirichlet conditions on velocities, known to all ranks.
 
     Args:
         nodes: of V's mesh.
         V: space of velocities, linear, with a block of d components a node.
         bcs: conditions on V or its components.
     """
-    dim = V.mesh.geometry.dim
-    value = fem.Function(V)
-    dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in bcs)]))
-    for bc in bcs:
-        _compat.bc_set(bc, value.x.array, None, 1.0)
-    numbers = nodes.numbers(V.tabulate_dof_coordinates())[dofs // dim]
-    mine = np.column_stack([numbers, dofs % dim, value.x.array[dofs]])
-    everyone = np.unique(np.concatenate(V.mesh.comm.allgather(mine)), axis=0)
-    return Constraints(
-        everyone[:, 0].astype(np.int64), everyone[:, 1].astype(np.int64), everyone[:, 2].copy()
-    )
+
+    def __init__(self, nodes: Nodes, V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> None:
+        """Find the nodes (collective)."""
+        self._V, self._bcs, self._value = V, list(bcs), fem.Function(V)
+        dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
+        dofs = [np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in bcs)]
+        # values at ghosts may differ from their owners' by round-off
+        self._dofs = np.unique(np.concatenate(dofs))
+        self._dofs = self._dofs[self._dofs < owned * dim]
+        mine = nodes.numbers(V.tabulate_dof_coordinates()[self._dofs // dim])
+        self._nodes = np.concatenate(V.mesh.comm.allgather(mine))
+        self._components = np.concatenate(V.mesh.comm.allgather(self._dofs % dim)).astype(np.int64)
+
+    def now(self) -> Constraints:
+        """Nodes, components and their values now (collective)."""
+        for bc in self._bcs:
+            _compat.bc_set(bc, self._value.x.array, None, 1.0)
+        mine = self._value.x.array[self._dofs]
+        values = np.concatenate(self._V.mesh.comm.allgather(mine))
+        return Constraints(self._nodes, self._components, values)
 
 
 def empty_rows(threads: int, nodes: int, lanes: int) -> npt.NDArray[np.float64]:
@@ -133,6 +144,15 @@ def sum_threads(rows):
         for t in range(1, rows.shape[0]):
             for i in range(rows.shape[2]):
                 rows[0, n, i] += rows[t, n, i]
+
+
+@numba.njit(cache=True, parallel=True)
+def add_body(rows, total):
+    """Add the rows ``(nodes, 8)`` of another body to those of the first, but for the volume."""
+    for n in numba.prange(len(rows)):
+        for i in range(LANES):
+            if i != 4:
+                total[n, i] += rows[n, i]
 
 
 @numba.njit(cache=True, parallel=True)

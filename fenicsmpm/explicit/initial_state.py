@@ -25,6 +25,9 @@ def set_initial_state(
     determinant [-], "u" displacement [m], "v" velocity [m/s], "J_bar" averaged J [-], "sigma"
     Cauchy stress ``(3, 3)`` [Pa], and the fields of the law's state, such as "eps_p".
 
+    Who gives another "F" after that has to give "J", "J_bar" and "sigma" that belong to it: the
+    first step uses them.
+
     Args:
         points: the body, with its volumes as weights.
         law: its constitutive law.

@@ -39,6 +39,7 @@ from fenicsmpm.lanes import (
     load_column,
     load_line,
     number_at,
+    prefetch,
     store,
     store_column,
     store_line,
@@ -50,6 +51,9 @@ from fenicsmpm.materials.tensors import cube_root
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
 _parallel = numba.njit(parallel=True)
+
+# Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)
+_AHEAD = 8
 
 _LINES = LANES * LANES  # numbers of the lines of a block, one line of each of its points
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
@@ -113,6 +117,17 @@ def transfers(
     set_stress = stresses(update, update_eight, n_state, rates)
 
     @_inline
+    def fetch(body, block):
+        """Have what a block needs brought near; it need not exist."""
+        for rows in (body.mass, body.V_0, body.J_bar):
+            prefetch(rows, block)
+        for rows in (body.x, body.x_next, body.v):
+            for j in range(dim):
+                prefetch(rows, block * dim + j)
+        for j in range(dim * dim):
+            prefetch(body.F, block * dim * dim + j)
+
+    @_inline
     def determinant(F, first):
         """Of the tensors (d, d) in the rows from the first on."""
         if dim == 2:
@@ -121,6 +136,22 @@ def transfers(
         d, e, f = load(F, first + 3), load(F, first + 4), load(F, first + 5)
         g, h, i = load(F, first + 6), load(F, first + 7), load(F, first + 8)
         return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+    @_inline
+    def root(x):
+        return math.sqrt(x) if dim == 2 else cube_root(x)
+
+    @_inline
+    def strain(f):
+        """Norm of the strain increment sym(f) - I of relative deformation gradients (d, d)."""
+        total = zeros()
+        for j in range(dim):
+            normal = load(f, j * dim + j) - 1.0
+            total += normal * normal
+            for k in range(j):
+                shear = load(f, j * dim + k) + load(f, k * dim + j)
+                total += 0.5 * shear * shear
+        return math.sqrt(total)
 
     @_inline
     def pack(block, body, V, s, first, lines):
@@ -215,7 +246,7 @@ def transfers(
         store_line(lines, node, add_scaled(load_line(lines, node), factor, line))
 
     @_njit
-    def gather(first, last, nodes, half, body, rows, dt, flip, average, r, averages):
+    def gather(first, last, nodes, half, body, rows, dt, flip, average, r, s, averages):
         """Velocity, next position and F of points; J goes back to the nodes to be averaged.
 
         Returns:
@@ -228,6 +259,7 @@ def transfers(
         far, near = strides(nodes)
         bad = np.int64(-1)
         for block in range(first, last):
+            fetch(body, block + _AHEAD)
             fill(body.x, block, nodes, half, base, w, d)
             for i in range(LANES):
                 from_nodes(i, base, far, near, w, d, rows, lines)
@@ -252,6 +284,11 @@ def transfers(
                         store(body.L, tensor + j * dim + k, rate)
                     store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
             J_old, dJ = determinant(body.F, tensor), determinant(f, 0)
+            shrink = 1.0 + zeros()
+            if average and s > 0.0:
+                J_star = J_old + min(s * strain(f), 1.0) * (load(body.J_bar, block) - J_old)
+                shrink = root(J_star / J_old)
+                J_old = J_star
             # eq. 14
             for k in range(dim):
                 F_0, F_1 = load(body.F, tensor + k), load(body.F, tensor + dim + k)
@@ -260,7 +297,7 @@ def transfers(
                     new = load(f, j * dim) * F_0 + load(f, j * dim + 1) * F_1
                     if dim == 3:
                         new += load(f, j * dim + 2) * F_2
-                    store(body.F, tensor + j * dim + k, new)
+                    store(body.F, tensor + j * dim + k, shrink * new)
             J = dJ * J_old
             good &= between(J, _TINY, _HUGE)
             if not good:
@@ -303,12 +340,8 @@ def transfers(
             total += load_column(lines, c, LINE_LANES) * load(w, (dim - 1) * width + c)
         return total
 
-    @_inline
-    def root(x):
-        return math.sqrt(x) if dim == 2 else cube_root(x)
-
     @_njit
-    def finish(first, last, nodes, half, body, average, s, averages, again, sigma, rows):
+    def finish(first, last, nodes, half, body, average, averages, again, sigma, rows):
         """Stresses by the averaged J: to the nodes for the next step, or at last to ``sigma``."""
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
@@ -318,18 +351,13 @@ def transfers(
         lines, average_lines = np.zeros((4 * LANES, LANES)), np.empty((LANES, LINE_LANES))
         far, near = strides(nodes)
         for block in range(first, last):
+            fetch(body, block + _AHEAD)
             tensor = block * dim * dim
             J = determinant(body.F, tensor)
             scale = 1.0 + zeros()
             if average:
                 fill(body.x, block, nodes, half, base, w, d)
                 J_bar = means(base, far, near, w, averages, average_lines)
-                J_star = J + s * (J_bar - J) if s > 0.0 else J
-                if s > 0.0:
-                    shrink = root(J_star / J)
-                    for k in range(dim * dim):
-                        store(body.F, tensor + k, shrink * load(body.F, tensor + k))
-                    J = J_star
                 scale = root(J_bar / J)  # eq. 18
             else:
                 J_bar = J
@@ -362,20 +390,20 @@ def transfers(
             scatter(ranges[t], ranges[t + 1], nodes, half, body, sigma, rows[t])
 
     @_parallel
-    def gather_all(ranges, nodes, half, body, rows, dt, flip, average, r, averages):
+    def gather_all(ranges, nodes, half, body, rows, dt, flip, average, r, s, averages):
         bad = np.empty(len(ranges) - 1, dtype=np.int64)
         for t in numba.prange(len(ranges) - 1):
             bad[t] = gather(
-                ranges[t], ranges[t + 1], nodes, half, body, rows, dt, flip, average, r,
+                ranges[t], ranges[t + 1], nodes, half, body, rows, dt, flip, average, r, s,
                 averages[t],
             )  # fmt: skip
         return bad.max()
 
     @_parallel
-    def finish_all(ranges, nodes, half, body, average, s, averages, again, sigma, rows):
+    def finish_all(ranges, nodes, half, body, average, averages, again, sigma, rows):
         for t in numba.prange(len(ranges) - 1):
             finish(
-                ranges[t], ranges[t + 1], nodes, half, body, average, s, averages, again, sigma,
+                ranges[t], ranges[t + 1], nodes, half, body, average, averages, again, sigma,
                 rows[t],
             )  # fmt: skip
 

@@ -3,20 +3,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import GIMP
+from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.carriers import carriers
 from fenicsmpm.explicit.contact import RigidBox, contact
 from fenicsmpm.explicit.fbar import FBar
 from fenicsmpm.explicit.grid import Nodes
 from fenicsmpm.explicit.kernels import Body, transfers
 from fenicsmpm.explicit.stencils import in_blocks, out_of_blocks
-from fenicsmpm.lanes import LANES
-from fenicsmpm.materials import Law, NewtonianFluid
+from fenicsmpm.lanes import LANES, LINE_LANES
+from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 
 _NEEDED = ("mass", "V_0", "F", "J", "J_bar", "u", "v", "sigma")
@@ -35,12 +38,19 @@ class Part:
         law: its law.
         kind: of grid functions.
         fbar: averages of J, or None.
+        nodes: of the lattice.
+
+    Attributes:
+        rows: ``(threads, nodes, 8)``, what its points give to the nodes; rows of threads are summed
+            up in the first.
 
     Raises:
         ValueError: for points that miss fields, or have those of another law.
     """
 
-    def __init__(self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None) -> None:
+    def __init__(
+        self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None, nodes: Nodes
+    ) -> None:
         """Check the fields."""
         missing = [name for name in (*_NEEDED, *law.state) if name not in points]
         wrong = [
@@ -63,13 +73,20 @@ class Part:
             law.update_eight,
             law.n_state,
             law.needs_rate,
-            isinstance(law, NewtonianFluid),
+            law.is_fluid,
         )
         self._contact = contact(dim, kind)
         self._half = half_size(points, kind)
+        self._nodes, threads = nodes, numba.get_num_threads()
+        self.rows = grid.empty_rows(threads, nodes.size, LANES)
+        averaged = 0 if fbar is None else nodes.size
+        self._averages = grid.empty_rows(threads, averaged, LINE_LANES)
+        self._sums = np.zeros(averaged)
 
-    def begin(self, threads: int, law: Law) -> None:
-        """Take working copies of what steps change; the points stay as they are.
+    def begin(self, law: Law) -> None:
+        """Take working copies of what steps change, and add the points to the nodes.
+
+        The points stay as they are.
 
         Raises:
             ValueError: for a law of another kind than the first.
@@ -97,7 +114,12 @@ class Part:
             parameters=np.asarray(law.parameters),
         )
         self._sigma = np.empty((0, LANES))
-        self._ranges = np.linspace(0, len(mass), threads + 1).astype(np.int64)
+        self._ranges = np.linspace(0, len(mass), len(self.rows) + 1).astype(np.int64)
+        grid.clear(self.rows)
+        sigma = in_blocks(points["sigma"])
+        self._kernels.scatter(
+            self._ranges, self._nodes, self._half, self._working, sigma, self.rows
+        )
 
     @property
     def _working(self) -> Body:
@@ -105,60 +127,76 @@ class Part:
         assert self._body is not None
         return self._body
 
-    def scatter(self, rows: Array, nodes: Nodes) -> None:
-        """Add the points to the nodes before the first step."""
-        sigma = in_blocks(self.points["sigma"])
-        self._kernels.scatter(self._ranges, nodes, self._half, self._working, sigma, rows)
-
-    def push(self, box: RigidBox, velocity: Array, dt: float, rows: Array, nodes: Nodes) -> Array:
+    def push(self, box: RigidBox, velocity: Array, dt: float) -> tuple[Array, int]:
         """Contact forces of a box to the nodes.
 
         Returns:
-            Their sum ``(d,)`` [N].
+            Their sum ``(d,)`` [N], and a block with a point inside of the box; or -1.
         """
         body = self._working
-        return self._contact.push(
-            nodes, self._half, body.x, body.v, body.mass, box.lower, box.upper, velocity,
-            box.reach, box.stiffness, box.friction, dt, rows,
+        force, bad = self._contact.push(
+            self._nodes, self._half, body.x, body.v, body.mass, box.lower, box.upper, velocity,
+            box.reach, box.stiffness, box.friction, dt, self.rows[0],
         )  # fmt: skip
+        return force, bad
 
-    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> Array:
+    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> tuple[Array, int]:
         """Keep points out of a box.
 
         Returns:
-            The force that this took ``(d,)`` [N].
+            The force that this took ``(d,)`` [N], and a block with a point that has left the
+            lattice by this; or -1.
         """
         body = self._working
-        return self._contact.hold_back(
-            body.x_next, body.v, body.mass, box.lower, box.upper, velocity, box.reach, dt
-        )
+        force, bad = self._contact.hold_back(
+            self._nodes, body.x_next, body.v, body.mass, box.lower, box.upper, velocity,
+            box.reach, dt,
+        )  # fmt: skip
+        return force, bad
 
-    def gather(self, rows: Array, averages: Array, nodes: Nodes, dt: float, flip: float) -> int:
-        """Velocities, positions and F from the nodes, and J to them.
+    def gather(self, rows: Array, dt: float, flip: float) -> int:
+        """Velocities, positions and F from the nodes of all bodies, and J to its own.
 
         Returns:
             A block with a point that is inverted, not finite or outside; or -1.
         """
         average = self._fbar is not None
-        r = self._fbar.r if self._fbar else 0.0
+        r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
+        if average:
+            grid.clear(self._averages)
         return int(
             self._kernels.gather(
-                self._ranges, nodes, self._half, self._working, rows, dt, flip, average, r, averages
+                self._ranges, self._nodes, self._half, self._working, rows, dt, flip, average, r,
+                s, self._averages,
             )
-        )
+        )  # fmt: skip
 
-    def finish(self, averages: Array, nodes: Nodes, again: bool, rows: Array) -> None:
+    def average(self, add_ranks: Callable[[Array], None]) -> None:
+        """Average J at the nodes, and clear the rows for the next step."""
+        if self._fbar is None:
+            grid.clear(self.rows)
+            return
+        grid.sum_averages(self._averages, self._sums)
+        add_ranks(self._sums)
+        grid.average_nodes(self.rows, self._sums, self._averages[0])
+
+    def finish(self, again: bool) -> None:
         """Stresses and new positions; if ``again``, add the points to the nodes."""
         body, average = self._working, self._fbar is not None
-        s = self._fbar.s if self._fbar else 0.0
         if not again:
             self._sigma = np.empty((9 * len(body.mass), LANES))
         self._kernels.finish(
-            self._ranges, nodes, self._half, body, average, s, averages, again, self._sigma, rows
-        )
+            self._ranges, self._nodes, self._half, body, average, self._averages[0], again,
+            self._sigma, self.rows,
+        )  # fmt: skip
         self._body = body._replace(x=body.x_next, x_next=body.x)
 
-    def settle(self, nodes: Nodes, sort: bool) -> None:
+    def bad_stress(self) -> int:
+        """A block with a stress that is not finite after the last step; or -1."""
+        bad = np.flatnonzero(~np.isfinite(self._sigma).all(axis=1))
+        return int(bad[0] // 9) if len(bad) else -1
+
+    def settle(self, sort: bool) -> None:
         """Give the points what has changed, and bring their cells up to date (collective).
 
         If ``sort``, points with the same nodes come to stand one after the other.
@@ -185,11 +223,11 @@ class Part:
         points.assign({"u": points["u"] + (x - points.x)})
         points.move(x)
         if sort:
-            points.sort(nodes.nearest(points.x))
+            points.sort(self._nodes.nearest(points.x))
 
-    def describe(self, block: int, nodes: Nodes) -> str:
+    def describe(self, block: int) -> str:
         """What is wrong with a point of a block, and where it is."""
-        d, body = self._dim, self._working
+        d, body, nodes = self._dim, self._working, self._nodes
         first = block * LANES
         ids = self.points.id[first : first + LANES]
         x = out_of_blocks(body.x_next[block * d : (block + 1) * d], len(ids), (d,))
@@ -203,9 +241,11 @@ class Part:
         what = (
             "is inverted"
             if J[i] <= 0
-            else "leaves the lattice"
-            if np.isfinite(J[i])
             else "is not finite"
+            if not np.isfinite(J[i])
+            else "leaves the lattice"
+            if not inside[i]
+            else "has a stress that is not finite"
         )
         return f"point {ids[i]} {what} at {where} with J = {J[i]:g}"
 
@@ -238,13 +278,30 @@ class Load:
         points = self.points
         self._x = in_blocks(points.x, points.x[-1] if len(points) else 0.0)
 
-    def add_forces(self, rows: Array, nodes: Nodes) -> None:
-        """Add the forces to the nodes."""
-        self._kernels.add_forces(nodes, self._half, self._x, self.points["force"], rows)
+    def add_forces(self, rows: Array, forces: Array, nodes: Nodes, least_mass: float) -> int:
+        """Add the forces to those of the nodes ``(n, 3)``, of which those with mass count.
 
-    def follow(self, rows: Array, nodes: Nodes, dt: float) -> None:
-        """Move with the updated nodes."""
-        self._kernels.follow(nodes, self._half, self._x, rows, dt)
+        Returns:
+            A point without any mass at its nodes; or -1.
+        """
+        force = self.points["force"]
+        return self._kernels.add_forces(nodes, self._half, self._x, force, rows, least_mass, forces)
+
+    def follow(self, rows: Array, nodes: Nodes, least_mass: float, dt: float) -> int:
+        """Move with the updated nodes.
+
+        Returns:
+            A point that has left the lattice; or -1.
+        """
+        count = len(self.points)
+        return self._kernels.follow(nodes, self._half, self._x, count, rows, least_mass, dt)
+
+    def describe(self, point: int, what: str) -> str:
+        """Which point it is, and where."""
+        x = out_of_blocks(self._x, len(self.points), self.points.x.shape[1:])[point]
+        return (
+            f"point {self.points.id[point]} of a load {what} at {np.array2string(x, precision=6)}"
+        )
 
     def settle(self) -> None:
         """Bring cells and displacements up to date (collective)."""
@@ -255,17 +312,26 @@ class Load:
 
 
 def half_size(points: MaterialPoints, kind: int) -> Array:
-    """Half of the points' size in units of cells, ``(3,)``; only uGIMP needs it.
+    """Half of the points' size in units of cells, ``(3,)``; only uGIMP needs it (collective).
 
-    Points are taken for squares or cubes of the same size, those that carry loads for small.
+    Points are taken for squares or cubes of the same size, those without volume for small.
+
+    Raises:
+        ValueError: for points that are larger than cells.
     """
     half = np.full(3, 1e-6)
-    if kind == GIMP and "V_0" in points:
+    n = points.size_global
+    if kind == GIMP and "V_0" in points and n > 0:
         spacing = lattice_of(points.mesh).spacing
-        comm = points.mesh.comm
-        volume = comm.allreduce(float(points["V_0"].sum())) / points.size_global
-        half[: len(spacing)] = 0.5 * volume ** (1 / len(spacing)) / spacing
-    return half
+        volume = points.mesh.comm.allreduce(float(points["V_0"].sum())) / n
+        size = volume ** (1 / len(spacing))
+        half[: len(spacing)] = 0.5 * size / spacing
+        if half.max() > 0.5 + 1e-9:
+            raise ValueError(
+                f"points of {size:g} m are larger than cells of {spacing} m, which uGIMP cannot "
+                "do: seed more points"
+            )
+    return np.minimum(half, 0.5)
 
 
 @numba.njit(cache=True, parallel=True)

@@ -273,7 +273,8 @@ def _plotter(
             lighting=lighting,
             ambient=0.4 if lighting else 0.0,
             diffuse=0.6 if lighting else 1.0,
-            point_size=max(2.0, 0.75 * point_size),
+            # gaps of some pixels show points one by one, smaller ones would be a moire
+            point_size=max(0.75 * point_size, min(1.5 * point_size, 6.0), 2.0),
             render_points_as_spheres=True,
         )
         plotter.enable_parallel_projection()

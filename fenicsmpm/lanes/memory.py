@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from fenicsmpm.lanes.rows import (
@@ -34,52 +35,53 @@ def row_address(context, builder, array_type, array, row, kind=VECTOR):
     return builder.bitcast(address, kind.as_pointer())
 
 
+def _access(register, kind, what):
+    """Functions that read and write vectors of one kind."""
+
+    @intrinsic
+    def load(_typing, array, i):
+        def generate(context, builder, signature, arguments):
+            address = row_address(context, builder, signature.args[0], *arguments, kind)
+            return builder.load(address, align=8)
+
+        return register(array, types.intp), generate
+
+    @intrinsic
+    def store(_typing, array, i, value):
+        def generate(context, builder, signature, arguments):
+            array, i, value = arguments
+            address = row_address(context, builder, signature.args[0], array, i, kind)
+            builder.store(value, address, align=8)
+            return context.get_dummy_value()
+
+        return types.void(array, types.intp, register), generate
+
+    load.__doc__ = f"{what.capitalize()} i of a C-contiguous array ``(n, {kind.count})``."
+    store.__doc__ = f"Overwrite {what} i of a C-contiguous array ``(n, {kind.count})``."
+    return load, store
+
+
+load, store = _access(ROW, VECTOR, "row")
+load_line, store_line = _access(LINE, SHORT_VECTOR, "line")
+
+
 @intrinsic
-def load(_typing, rows, i):
-    """Row i of a C-contiguous array ``(n, 8)``."""
+def prefetch(_typing, rows, i):
+    """Have row i of a C-contiguous array ``(n, 8)`` brought near; it need not exist."""
 
     def generate(context, builder, signature, arguments):
         address = row_address(context, builder, signature.args[0], *arguments)
-        return builder.load(address, align=8)
-
-    return ROW(rows, types.intp), generate
-
-
-@intrinsic
-def store(_typing, rows, i, row):
-    """Overwrite row i of a C-contiguous array ``(n, 8)``."""
-
-    def generate(context, builder, signature, arguments):
-        array, i, row = arguments
-        builder.store(row, row_address(context, builder, signature.args[0], array, i), align=8)
+        pointer = ir.IntType(8).as_pointer()
+        function_type = ir.FunctionType(ir.VoidType(), [pointer, *[INT32] * 3])
+        function = cgutils.get_or_insert_function(
+            builder.module, function_type, "llvm.prefetch.p0i8"
+        )
+        to_read, into_all_caches, data = (ir.Constant(INT32, n) for n in (0, 3, 1))
+        address = builder.bitcast(address, pointer)
+        builder.call(function, [address, to_read, into_all_caches, data])
         return context.get_dummy_value()
 
-    return types.void(rows, types.intp, ROW), generate
-
-
-@intrinsic
-def load_line(_typing, lines, i):
-    """Line i of a C-contiguous array ``(n, 4)``."""
-
-    def generate(context, builder, signature, arguments):
-        array, i = arguments
-        address = row_address(context, builder, signature.args[0], array, i, SHORT_VECTOR)
-        return builder.load(address, align=8)
-
-    return LINE(lines, types.intp), generate
-
-
-@intrinsic
-def store_line(_typing, lines, i, line):
-    """Overwrite line i of a C-contiguous array ``(n, 4)``."""
-
-    def generate(context, builder, signature, arguments):
-        array, i, line = arguments
-        address = row_address(context, builder, signature.args[0], array, i, SHORT_VECTOR)
-        builder.store(line, address, align=8)
-        return context.get_dummy_value()
-
-    return types.void(lines, types.intp, LINE), generate
+    return types.void(rows, types.intp), generate
 
 
 @intrinsic

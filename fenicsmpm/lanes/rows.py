@@ -2,9 +2,10 @@
 """Eight numbers at once in loops compiled by numba, in one vector register.
 
 A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``max``, ``math.sqrt``
-and ``math.floor`` act on each of its lanes. So what is written for one point can be compiled for
-eight of them, if it has no branches. Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four
-numbers of an array ``(n, 4)``, which can only be summed up.
+and ``math.floor`` act on each of its lanes; of NaN and a number, ``min`` and ``max`` give the
+number. So what is written for one point can be compiled for eight of them, if it has no branches.
+Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four numbers of an array ``(n, 4)``, which
+can only be summed up.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc

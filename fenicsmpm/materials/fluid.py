@@ -38,9 +38,6 @@ class NewtonianFluid(Law):
     volume. The paper says that the equation of state has a bulk modulus, not which one it is; where
     fluids are nearly incompressible, all agree.
 
-    Of F only its determinant matters: in long flows F may be replaced by any tensor of the same
-    determinant, before round-off spoils that of a tensor with large shears.
-
     Args:
         kappa: bulk modulus [Pa], positive.
         mu: dynamic viscosity [Pa s], not negative. The wave speed does not contain it: explicit
@@ -60,7 +57,7 @@ class NewtonianFluid(Law):
         if not (math.isfinite(mu) and mu >= 0):
             raise ValueError(f"viscosity must be finite and not negative: mu = {mu} Pa s")
         self.kappa, self.mu = kappa, mu
-        super().__init__(_update, np.array([kappa, mu]), kappa, energy=_energy)
+        super().__init__(_update, np.array([kappa, mu]), kappa, energy=_energy, is_fluid=True)
 
     def __repr__(self) -> str:
         """Parameters with units."""

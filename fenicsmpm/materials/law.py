@@ -46,6 +46,8 @@ class Law:
             as it was, ``state[k]`` the k-th number of each. If it returns False, ``update`` is
             called for each point. Not needed where ``update`` has no branches and no state.
         needs_rate: whether ``update`` reads L; if not, loops save the trouble and give zeros.
+        is_fluid: whether of F only its determinant matters. Loops may then replace F by any tensor
+            of the same determinant, before round-off spoils that of a tensor with large shears.
 
     Raises:
         TypeError: for a function that numba has not compiled.
@@ -60,6 +62,7 @@ class Law:
     tangent: Callable[..., None] | None = None
     update_eight: Callable[..., bool] | None = None
     needs_rate: bool = True
+    is_fluid: bool = False
 
     def __post_init__(self) -> None:
         """Check, and lay out the state."""

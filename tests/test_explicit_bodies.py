@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: MIT
+"""What acts on bodies in explicit dynamics: each other, walls, loads, rigid boxes; and restarts."""
+
+import logging
+import math
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+
+from fenicsmpm import explicit, io, points
+from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
+from fenicsmpm.diagnostics import mean_stress, momentum
+from fenicsmpm.explicit.grid import Nodes
+from fenicsmpm.explicit.stencils import in_blocks, stencils
+from fenicsmpm.lanes import LANES
+from fenicsmpm.materials import Law, NeoHookean, VonMises, compiled
+
+COMM = MPI.COMM_WORLD
+RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
+
+
+def box(lower, upper, law=RUBBER, velocity=None, comm=COMM, n=10, V=None):
+    """A rectangular body in the unit square."""
+    if V is None:
+        domain = mesh.create_unit_square(comm, n, n, mesh.CellType.quadrilateral)
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    body = points.lattice(
+        V.mesh, 0.5 / n, inside=lambda x: np.all((x > lower) & (x < upper), axis=1)
+    )
+    explicit.set_initial_state(body, law, 2.0, velocity)
+    return body, V
+
+
+@pytest.mark.parametrize("kind", [LINEAR, QUADRATIC, CUBIC, GIMP])
+def test_functions_at_walls_are_those_of_the_basis(kind):
+    """Kernels have functions for eight points of their own."""
+    cells, half, width = 6, 0.3, WIDTH[kind]
+    t = np.concatenate([np.linspace(0, cells, 121), [0.2, 5.8, 0.5, 5.5, 1e-12, cells - 1e-12]])
+    x = np.column_stack([t, t[::-1]])
+    nodes = Nodes(np.zeros(3), np.ones(3), np.array([cells + 1, cells + 1, 1]))
+    fill, rows = stencils(2, kind), in_blocks(x, (1.0, 1.0))
+    base, w, d = np.empty(LANES, np.int64), np.empty((3 * width, LANES)), np.empty((12, LANES))
+    line = np.zeros((3, 4))
+    for p in range(len(x)):
+        fill(rows, p // LANES, nodes, np.full(3, half), base, w, d)
+        i, firsts = p % LANES, []
+        for k in range(2):
+            cell = min(int(x[p, k]), cells - 1)
+            first = tabulate_line(kind, cell, x[p, k] - cell, cells, half, line)
+            expected = np.zeros((2, cells + 3))
+            expected[:, first + 1 : first + 1 + width] = line[:2, :width]
+            firsts.append(base[i] // (cells + 1) if k == 0 else base[i] % (cells + 1))
+            found = np.zeros((2, cells + 3))
+            there = slice(firsts[k] + 1, firsts[k] + 1 + width)
+            found[0, there] = w[k * width : (k + 1) * width, i]
+            found[1, there] = d[k * width : (k + 1) * width, i]
+            assert found == pytest.approx(expected, abs=1e-12), (x[p], k)
+        assert 0 <= min(firsts) and max(firsts) <= cells + 1 - width
+
+
+@pytest.mark.parametrize("fbar", ["default", explicit.TRUE_J, explicit.ALGORITHM_1])
+def test_bodies_keep_their_own_volumes(fbar):
+    """A squeezed soft body beside one that cannot be: averages of J must not mix."""
+    soft = NeoHookean(E=1.0, nu=0.0).pointwise()
+    hard = NeoHookean(E=100.0, nu=0.499).pointwise()
+    left, V = box((0.2, 0.3), (0.5, 0.7), soft)
+    right, _ = box((0.5, 0.3), (0.8, 0.7), hard, V=V)
+    left["F"] = np.diag([0.8, 0.8, 1.0])
+    left["J"] = left["J_bar"] = 0.64
+    sim = explicit.ExplicitMPM(V, {left: soft, right: hard}, dt=1e-7, fbar=fbar)
+    sim.step()
+    assert right["J_bar"] == pytest.approx(1.0, abs=1e-7)
+    assert np.abs(mean_stress(right["sigma"])).max() < 1e-3
+    assert left["J_bar"] == pytest.approx(0.64, abs=1e-7)
+
+
+@pytest.mark.mpi
+def test_bodies_that_meet_keep_momentum_and_do_not_mix():
+    left, V = box((0.2, 0.3), (0.45, 0.7), velocity=lambda x: np.tile([1.0, 0], (len(x), 1)))
+    right, _ = box((0.55, 0.3), (0.8, 0.7), velocity=lambda x: np.tile([-1.0, 0], (len(x), 1)), V=V)
+    sim = explicit.ExplicitMPM(V, {left: RUBBER, right: RUBBER})
+    for _ in sim.run(0.15, 0.05):
+        assert momentum(left) + momentum(right) == pytest.approx([0, 0], abs=1e-12)
+        assert left.bounds[1][0] < right.bounds[0][0]
+    assert momentum(left)[0] < 0 < momentum(right)[0]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("basis", ["gimp", "quadratic", "cubic"])
+def test_a_load_on_the_surface_pushes_all_of_the_body_and_stays_there(basis):
+    """Some of its nodes have little mass or none: they must not run away with it."""
+    body, V = box((0.2, 0.2), (0.5, 0.5))
+    y = np.linspace(0.21, 0.49, 12)
+    x = np.column_stack([np.full(12, 0.5001), y]) if COMM.rank == 0 else np.empty((0, 2))
+    load = points.MaterialPoints(V.mesh, x, weight=1.0)
+    load.add_field("force", (2,), (0.05, 0.0))
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, loads=[load], basis=basis)
+    for _ in sim.run(0.45, 0.09):
+        assert momentum(body) == pytest.approx([12 * 0.05 * sim.time, 0.0], rel=1e-12, abs=1e-12)
+    gap = load.bounds[0][0] - body.bounds[1][0], load.bounds[1][0] - body.bounds[1][0]
+    assert 0.015 < gap[0] <= gap[1] < 0.03
+    assert body.bounds[1][0] > 0.8
+
+
+def test_a_load_away_from_all_bodies():
+    body, V = box((0.2, 0.2), (0.5, 0.5))
+    load = points.MaterialPoints(V.mesh, [(0.85, 0.85)], weight=1.0)
+    load.add_field("force", (2,), (0.3, 0.1))
+    sim = explicit.ExplicitMPM(V, {body: RUBBER}, loads=[load])
+    with pytest.raises(explicit.UnstableError, match="point 0 of a load is away from all bodies"):
+        sim.step()
+    assert (sim.time, sim.number) == (0.0, 0)
+
+
+@pytest.mark.mpi
+def test_a_reaction_does_not_depend_on_ranks():
+    def reaction(comm):
+        body, V = box((0.2, 0.2), (0.8, 0.8), comm=comm)
+        value = fem.Function(V)
+        value.interpolate(lambda x: np.vstack([np.sin(5 * x[0] + x[1]), x[0] / 3]))
+        everywhere = fem.locate_dofs_geometrical(V, lambda x: x[0] < 0.55)
+        bc = fem.dirichletbc(value, everywhere)
+        sim = explicit.ExplicitMPM(V, {body: RUBBER}, bcs=[bc], dt=1e-4)
+        for _ in range(3):
+            sim.step()
+        return sim.reaction
+
+    assert reaction(COMM) == pytest.approx(reaction(MPI.COMM_SELF), rel=1e-9)
+
+
+def unchanged(body, before):
+    return all(np.array_equal(body[name], array) for name, array in before.items())
+
+
+@pytest.mark.parametrize("interval", [1, 3])
+def test_a_box_that_fails_leaves_the_points_as_they_were(interval):
+    """Pushed out of the lattice, entered from the start, with a velocity that is no number."""
+    for upper, velocity, message in (
+        (0.19, 300.0, "leaves the lattice|is not finite|is inverted"),
+        (0.4, 0.0, "a point is inside of the box"),
+        (0.19, np.nan, "velocity of a rigid box must be finite"),
+    ):
+        body, V = box((0.2, 0.3), (0.5, 0.7))
+        wall = explicit.RigidBox([-np.inf] * 2, [upper, np.inf], 0.01, velocity=(velocity, 0.0))
+        sim = explicit.ExplicitMPM(V, {body: RUBBER}, rigid=[wall], dt=4e-3)
+        before = body.snapshot()
+        with pytest.raises((explicit.UnstableError, ValueError), match=message):
+            next(sim.run(1.0, interval * sim.dt))
+        assert unchanged(body, before)
+        assert (sim.time, sim.number, wall.moved[0]) == (0.0, 0, 0.0)
+
+
+@pytest.mark.mpi
+def test_restart_between_intervals_goes_on_bit_by_bit(tmp_path):
+    path = COMM.bcast(tmp_path) / "state.h5"
+
+    def start(boxes=1):
+        body, V = box((0.2, 0.3), (0.5, 0.7), VonMises(100.0, 0.4, sigma_y=1.0))
+        law = VonMises(100.0, 0.4, sigma_y=1.0)
+        wall = [
+            explicit.RigidBox(
+                [-np.inf] * 2, [0.2 - 0.02 * (k + 1), np.inf], 0.02, velocity=(0.5, 0)
+            )
+            for k in range(boxes)
+        ]
+        load = body.select(lambda x: x[:, 0] > 0.46)
+        load.add_field("force", (2,), (-1e-2, 3e-2))
+        return explicit.ExplicitMPM(V, {body: law}, rigid=wall, loads=[load]), body
+
+    sim, body = start()
+    for k, _ in enumerate(sim.run(0.1, 0.013)):
+        if k == 2:
+            io.checkpoint.save(path, sim)
+    again, copy = start()
+    io.checkpoint.restore(path, again)
+    assert again.rigid[0].moved[0] == pytest.approx(0.5 * 0.039)
+    for _ in again.run(0.1, 0.013):
+        pass
+    assert (again.number, again.time) == (sim.number, sim.time)
+    for name in body.snapshot():
+        assert np.array_equal(body[name], copy[name]), name
+    for boxes in (0, 2):
+        other, untouched = start(boxes)
+        before = untouched.snapshot()
+        with pytest.raises(io.checkpoint.CheckpointError, match="rigid box"):
+            io.checkpoint.restore(path, other)
+        assert unchanged(untouched, before)
+
+
+@compiled
+def late_nan(F, L, parameters, state, sigma):
+    state[0] += 1.0
+    sigma[:, :] = 0.0
+    if state[0] > 2.0:
+        sigma[0, 0] = math.nan
+
+
+def test_a_stress_that_is_not_finite_is_not_handed_out():
+    law = Law(late_nan, np.empty(0), 1.0, state={"count": ((), 0.0)}, needs_rate=False)
+    body, V = box((0.2, 0.2), (0.5, 0.5), law)
+    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3)
+    sim.step()
+    sim.step()
+    before = body.snapshot()
+    with pytest.raises(explicit.UnstableError, match="stress that is not finite"):
+        sim.step()
+    assert unchanged(body, before) and sim.number == 2
+
+
+@compiled
+def tait(F, L, parameters, state, sigma):
+    J = F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]
+    sigma[:, :] = 0.0
+    sigma[0, 0] = sigma[1, 1] = sigma[2, 2] = -parameters[0] * (J**-7 - 1) / 7
+
+
+def test_a_fluid_of_one_s_own_flows():
+    """Its averages are those of fluids, and of F only J is kept."""
+    water = Law(tait, np.array([100.0]), 100.0, needs_rate=False, is_fluid=True)
+    assert explicit.default_fbar(water) == explicit.FBar(r=0.1, s=100.0)
+    body, V = box((0.2, 0.2), (0.5, 0.5), water, lambda x: np.column_stack([x[:, 1], 0 * x[:, 0]]))
+    sim = explicit.ExplicitMPM(V, {body: water})
+    for _ in range(5):
+        sim.step()
+    assert body["F"][:, 0, 1] == pytest.approx(0.0, abs=1e-15)
+    assert body["F"][:, 0, 0] == pytest.approx(np.sqrt(body["J"]))
+
+
+def test_wrong_sets():
+    body, V = box((0.2, 0.2), (0.5, 0.5))
+    load = body.select(lambda x: x[:, 0] > 0.4)
+    load.add_field("force", (2,))
+    _, other = box((0.2, 0.2), (0.5, 0.5))
+    nothing = body.select([])
+    thin = mesh.create_rectangle(
+        MPI.COMM_SELF, [(0, 0), (1, 1)], [20, 5], mesh.CellType.quadrilateral
+    )
+    large = points.lattice(thin, 0.1, inside=lambda x: x[:, 0] < 0.5)
+    explicit.set_initial_state(large, RUBBER, 1.0)
+    W = fem.functionspace(thin, ("Lagrange", 1, (2,)))
+    body.add_field("force", (2,))
+    flat = explicit.RigidBox([0.0], [0.1], reach=0.01)
+    for space, bodies, options, message in (
+        (V, [body], {"loads": [body]}, "given twice"),
+        (V, [body], {"loads": [load, load]}, "given twice"),
+        (other, [body], {}, "on the mesh of V"),
+        (V, [nothing], {}, "no points"),
+        (W, [large], {"basis": "gimp"}, "larger than cells"),
+        (V, [body], {"rigid": [flat]}, "corners of 2 numbers"),
+        (V, [body], {"gravity": -9.81}, "gravity must be 2 finite numbers"),
+        (V, [body], {"gravity": (0.0, np.nan)}, "gravity must be 2 finite numbers"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            explicit.ExplicitMPM(space, dict.fromkeys(bodies, RUBBER), **options)
+    sim = explicit.ExplicitMPM(V, {body: RUBBER, nothing: RUBBER})
+    sim.step()
+    assert len(nothing) == 0
+
+
+def test_a_share_of_the_wave_s_time_above_one_is_warned_of(caplog, monkeypatch):
+    body, V = box((0.2, 0.2), (0.5, 0.5))
+    monkeypatch.setattr(logging.getLogger("fenicsmpm"), "propagate", True)
+    explicit.ExplicitMPM(V, {body: RUBBER}, cfl=3.0)
+    assert "above the limit of stability, about" in caplog.text
