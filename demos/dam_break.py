@@ -25,9 +25,9 @@
 # true J of neighbours together: with the paper's algorithm 1 they drift apart, unseen by the
 # pressure. By default, a share of the difference to the average is taken back as the water deforms.
 #
-# Steps are those of the paper, a seventeenth of the time that sound takes through a cell. Water that
-# runs up a wall comes very near to it, where functions have steep slopes: with steps seven times as
-# long the film is torn to pieces.
+# Steps are those of the paper, a seventeenth of the time that sound takes through a cell. Water
+# that runs up a wall comes very near to it, where functions have steep slopes: with steps seven
+# times as long the film is torn to pieces.
 #
 # ## Implementation
 
