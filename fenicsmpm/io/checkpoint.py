@@ -110,9 +110,10 @@ def restore(path: str | Path, sim: Simulation) -> None:
 
     On the same mesh with the same distribution of its cells, in particular on the same number of
     ranks, everything goes on bit by bit as without the interruption, provided that the linear
-    solver itself gives the same bits each time, and explicit steps have the same number of threads. Otherwise the points go to the ranks that own their
-    cells, and results agree to round-off. Grid functions are not part of the state: the unknown has
-    its values again after the next step.
+    solver itself gives the same bits each time, and for explicit steps, with the same number of
+    threads. Otherwise the points go to the ranks that own their cells, and results agree to
+    round-off. Grid functions are not part of the state: the unknown has its values again after the
+    next step.
 
     Args:
         path: what ``save`` wrote.
