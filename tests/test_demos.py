@@ -220,6 +220,30 @@ def test_columns(name, component, share, tmp_path, capsys):
     assert times == pytest.approx([0.02])
 
 
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("cooks_membrane_explicit", "--size 0.3"),
+        ("cooks_membrane_explicit", "--steps 0"),
+        ("cooks_membrane_explicit", "--full --averages F-bar"),
+        ("cooks_membrane_explicit", "--short --steps 5"),
+        ("strip_footing", "--cells 0"),
+        ("strip_footing", "--full --cells 10"),
+        ("strip_footing", "--full --short"),
+        ("dam_break", "--wall 5.1"),
+        ("dam_break", "--until 0"),
+        ("dam_break", "--full --until 0.5"),
+        ("landslide", "--until -1"),
+        ("landslide", "--short --full"),
+    ],
+)
+def test_wrong_options_of_explicit_demos(name, arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        import_module(name).main(arguments.split())
+    assert stopped.value.code == 2
+    assert "error: " in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["strip_footing", "landslide"])
 def test_explicit_demos(name, tmp_path, capsys):
     import_module(name).main(["--short", "--output", str(tmp_path)])

@@ -154,6 +154,38 @@ def test_a_box_that_fails_leaves_the_points_as_they_were(interval):
 
 
 @pytest.mark.mpi
+def test_all_at_once_is_the_same_on_any_number_of_ranks():
+    """Plastic state, loads, a moving box and supports."""
+
+    def run(comm):
+        clay = VonMises(100.0, 0.45, sigma_y=2.0)
+        body, V = box((0.2, 0.0), (0.7, 0.6), clay, comm=comm)
+        wall = explicit.RigidBox([-np.inf] * 2, [0.195, np.inf], 0.02, velocity=(0.4, 0.0))
+        load = body.select(lambda x: x[:, 1] > 0.56)
+        load.add_field("force", (2,), (0.0, -0.05))
+        floor = explicit.roller(V, 1, lambda x: np.isclose(x[1], 0))
+        sim = explicit.ExplicitMPM(
+            V, {body: clay}, rigid=[wall], loads=[load], bcs=[floor], gravity=(0.0, -1.0)
+        )
+        for _ in sim.run(0.2, 0.05):
+            pass
+        start = np.concatenate(comm.allgather(body.x - body["u"]))
+        order = np.lexsort(np.round(start, 8).T)
+        fields = {
+            name: np.concatenate(comm.allgather(body[name]))[order]
+            for name in ("u", "sigma", "eps_p", "J_bar")
+        }
+        return fields, wall.force, sim.reaction, momentum(body)
+
+    (alone, *sums), (together, *same) = run(MPI.COMM_SELF), run(COMM)
+    assert alone["eps_p"].max() > 1e-3
+    for name, a in alone.items():
+        assert together[name] == pytest.approx(a, abs=1e-9 * np.abs(a).max()), name
+    for a, b in zip(sums, same, strict=True):
+        assert b == pytest.approx(a, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.mpi
 def test_restart_between_intervals_goes_on_bit_by_bit(tmp_path):
     path = COMM.bcast(tmp_path) / "state.h5"
 
@@ -208,6 +240,25 @@ def test_a_stress_that_is_not_finite_is_not_handed_out():
     with pytest.raises(explicit.UnstableError, match="stress that is not finite"):
         sim.step()
     assert unchanged(body, before) and sim.number == 2
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.4])
+def test_the_true_J_is_drawn_to_its_average_by_strain(rate):
+    """F <- (J* / J)^(1/2) F with J* = J + min(s e, 1) (J_bar - J), nothing at rest."""
+    s, dt = 100.0, 1e-3
+    body, V = box((0.2, 0.2), (0.5, 0.5))
+    body["J_bar"] = 1.02
+    L = np.array([[rate, rate], [0.0, -rate]])
+    motion = fem.Function(V)
+    motion.interpolate(lambda x: L @ x[:2])
+    held = fem.dirichletbc(motion, np.arange(V.dofmap.index_map.size_local, dtype=np.int32))
+    fbar = explicit.FBar(r=0.3, s=s)
+    explicit.ExplicitMPM(V, {body: RUBBER}, bcs=[held], dt=dt, fbar=fbar).step()
+    strain = dt * rate * math.sqrt(2 + 0.5)
+    J = 1 + s * strain * 0.02
+    expected = math.sqrt(J) * (np.eye(2) + dt * L)
+    assert s * strain < 1
+    assert body["F"][:, :2, :2] == pytest.approx(np.tile(expected, (len(body), 1, 1)), abs=1e-13)
 
 
 @compiled

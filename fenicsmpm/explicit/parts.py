@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numba
@@ -100,7 +101,7 @@ class Part:
         F = in_blocks(points["F"][:, :d, :d], np.eye(d))
         x = in_blocks(points.x, somewhere)
         mass = in_blocks(points["mass"])
-        state = [points[name].reshape(n, -1) for name in law.state]
+        state = [points[k].reshape(n, math.prod(shape)) for k, (shape, _) in law.state.items()]
         self._body: Body | None = Body(
             x=x,
             x_next=np.empty_like(x),
