@@ -271,7 +271,7 @@ def tait(F, L, parameters, state, sigma):
 def test_a_fluid_of_one_s_own_flows():
     """Its averages are those of fluids, and of F only J is kept."""
     water = Law(tait, np.array([100.0]), 100.0, needs_rate=False, is_fluid=True)
-    assert explicit.default_fbar(water) == explicit.FBar(r=0.1, s=100.0)
+    assert explicit.default_fbar(water) == explicit.FBar(r=0.3, s=100.0)
     body, V = box((0.2, 0.2), (0.5, 0.5), water, lambda x: np.column_stack([x[:, 1], 0 * x[:, 0]]))
     sim = explicit.ExplicitMPM(V, {body: water})
     for _ in range(5):

@@ -51,4 +51,4 @@ def default_fbar(law: Law) -> FBar:
 
     A law that remembers something, such as plastic strain, is taken for one that flows.
     """
-    return FBar(r=0.1, s=100.0) if law.is_fluid or law.n_state > 0 else FBar()
+    return FBar(r=0.3, s=100.0) if law.is_fluid or law.n_state > 0 else FBar()
