@@ -251,6 +251,18 @@ def test_explicit_demos(name, tmp_path, capsys):
     assert (tmp_path / f"{name}.png").exists()
 
 
+@pytest.mark.slow
+def test_strip_footing():
+    """The load that clay bears: near Prandtl's on a coarse grid, far above without averages."""
+    demo = import_module("strip_footing")
+    averaged, standard = (
+        demo.plateau(demo.run(demo.Case(averages=averages, cells=10))[1]) / demo.PRANDTL
+        for averages in ("F-bar", "standard")
+    )
+    assert averaged == pytest.approx(1.0, abs=0.08)
+    assert standard > 1.15
+
+
 def test_cooks_membrane_explicit(tmp_path):
     """Sooner or later at rest: here only that averages remove the checkerboard."""
     demo = import_module("cooks_membrane_explicit")

@@ -16,8 +16,9 @@ from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
 from fenicsmpm.lanes import LANES
 
-# Nodes are light that have less than this share of the largest mass around a point
-_LIGHT = 0.1
+# Nodes are light that have less than this share of the largest mass around a point. Where points
+# that are loaded have mass there are no such nodes: they would change the moment of a traction
+_LIGHT = 0.01
 
 _njit = numba.njit(**OPTIONS)
 
