@@ -19,6 +19,7 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit import grid
+from fenicsmpm.explicit.checks import check_points, check_space
 from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.fbar import FBar, default_fbar
 from fenicsmpm.explicit.parts import Load, Part
@@ -118,11 +119,11 @@ class ExplicitMPM:
             )
         if basis not in KINDS:
             raise ValueError(f"no grid functions {basis!r}: there are {', '.join(KINDS)}")
-        _check_points(V, [*bodies, *loads], len(bodies))
+        check_points(V, [*bodies, *loads], len(bodies))
         lattice = lattice_of(V.mesh)
         self.V, self._spacing = V, lattice.spacing
         self._kind = KINDS[basis]
-        _check_space(V, lattice.shape, WIDTH[self._kind])
+        check_space(V, lattice.shape, WIDTH[self._kind])
         self._nodes = grid.nodes_of(lattice)
         self._parts = [
             Part(
@@ -381,30 +382,3 @@ class ExplicitMPM:
 
 def _describe_loads(loads: list[Load], bad: list[int], what: str) -> list[str]:
     return [load.describe(p, what) for load, p in zip(loads, bad, strict=True) if p >= 0]
-
-
-def _check_points(V: fem.FunctionSpace, sets: list[MaterialPoints], n_bodies: int) -> None:
-    if n_bodies == 0:
-        raise ValueError("ExplicitMPM needs a body")
-    if len({id(points) for points in sets}) < len(sets):
-        raise ValueError(
-            "a point set is given twice as a body or load: select() its loaded points, which "
-            "gives a set of its own"
-        )
-    if any(points.mesh is not V.mesh for points in sets):
-        raise ValueError(
-            "bodies and loads must be on the mesh of V: bring them there with points.from_mesh"
-        )
-    if sum(points.size_global for points in sets[:n_bodies]) == 0:
-        raise ValueError("the bodies have no points")
-
-
-def _check_space(V: fem.FunctionSpace, cells: npt.NDArray[np.int64], width: int) -> None:
-    element, dim = V.ufl_element(), V.mesh.geometry.dim
-    if element.degree != 1 or V.num_sub_spaces != dim or V.dofmap.index_map_bs != dim:
-        raise ValueError(
-            f"velocities need a linear Lagrange space with {dim} components, not {element}: "
-            'fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))'
-        )
-    if np.any(cells < width - 1):
-        raise ValueError(f"{cells} cells are too few for functions of {width} nodes a direction")
