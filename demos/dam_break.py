@@ -167,9 +167,10 @@ def snapshot(water, title):
 
 
 def results(case, history, rows):
-    for t in (0.4, 0.8, 1.0, 1.2):
-        if not len(history) or history[-1, 0] < t - 1e-6:
-            continue
+    if not len(history):
+        return
+    end = history[-1, 0]
+    for t in [t for t in (0.4, 0.8, 1.0, 1.2) if t < end + 1e-6] or [end]:
         front, volume, low, high = (np.interp(t, history[:, 0], column) for column in history.T[1:])
         expected = FRONTS[case.basis].get(t) if case.wall >= 12 else None
         deviation = front / expected - 1 if expected else None
@@ -182,7 +183,7 @@ def show(cases, until, output):
     for case in cases:
         runs.append((case, *run(case, until, pictures)))
         histories[case.label()] = runs[-1][2]
-    columns = {"averages, functions": "s", "t [s]": ".1f", "front [m]": ".2f"}
+    columns = {"averages, functions": "s", "t [s]": ".2f", "front [m]": ".2f"}
     columns |= {"reference [m]": ".1f", "deviation": "+.1%", "change of volume": "+.2%"}
     rows = io.Table(columns | {"least J": ".4f", "largest J": ".4f"})
     for case, _, history, _, _ in runs:
