@@ -13,11 +13,12 @@ import numpy.typing as npt
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import GIMP
 from fenicsmpm.explicit import grid
+from fenicsmpm.explicit.body import Body
 from fenicsmpm.explicit.carriers import carriers
 from fenicsmpm.explicit.contact import RigidBox, contact
 from fenicsmpm.explicit.fbar import FBar
 from fenicsmpm.explicit.grid import Nodes
-from fenicsmpm.explicit.kernels import Body, transfers
+from fenicsmpm.explicit.kernels import transfers
 from fenicsmpm.explicit.stencils import in_blocks, out_of_blocks
 from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.materials import Law
@@ -231,13 +232,20 @@ class Part:
         d, body, nodes = self._dim, self._working, self._nodes
         first = block * LANES
         ids = self.points.id[first : first + LANES]
-        x = out_of_blocks(body.x_next[block * d : (block + 1) * d], len(ids), (d,))
+        # the last step is over where there are stresses to look at
+        over = len(self._sigma) > 0
+        x_next = body.x if over else body.x_next
+        x = out_of_blocks(x_next[block * d : (block + 1) * d], len(ids), (d,))
         F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], len(ids), (d, d))
         v = out_of_blocks(body.v[block * d : (block + 1) * d], len(ids), (d,))
         J = np.linalg.det(F) + 0 * v.sum(axis=1)  # no number, if one of both is none
         t = (x - nodes.origin[:d]) * nodes.per_metre[:d]
         inside = np.all((t >= 0) & (t <= nodes.shape[:d] - 1), axis=1)
-        i = int(np.argmin(inside & (J > 0) & np.isfinite(J)))
+        good = inside & (J > 0) & np.isfinite(J)
+        if over:
+            sigma = self._sigma[block * 9 : (block + 1) * 9]
+            good &= np.isfinite(out_of_blocks(sigma, len(ids), (9,))).all(axis=1)
+        i = int(np.argmin(good))
         where = np.array2string(x[i], precision=6)
         what = (
             "is inverted"
