@@ -148,6 +148,8 @@ def mark_seen(offsets, rows, basis, column, length, start, least, seen):
     """
     for i in range(len(offsets) - 1):
         for k in range(offsets[i], offsets[i + 1]):
+            if seen[i].all():  # mostly after the first point
+                break
             for s in range(len(column)):
                 row = basis[rows[k], column[s] : column[s] + length[s]]
                 largest = np.max(np.abs(row))

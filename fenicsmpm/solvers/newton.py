@@ -48,12 +48,14 @@ class NewtonResult:
 
     Attributes:
         iterations: number of linear systems solved.
+        tangents: number of tangents assembled and factorized.
         residuals: norm of the residual on free degrees of freedom before and after each.
         step_lengths: factor applied to each Newton step, 1 unless the line search cut it.
         seconds: time spent on "assembly" and on the "linear solver" [s].
     """
 
     iterations: int = 0
+    tangents: int = 0
     residuals: list[float] = field(default_factory=list)
     step_lengths: list[float] = field(default_factory=list)
     seconds: Stopwatch = field(default_factory=Stopwatch)
@@ -70,6 +72,9 @@ class NewtonSolver:
         rtol: tolerance of the residual relative to the first one.
         atol: absolute tolerance of the residual.
         max_iterations: linear systems to solve at most.
+        keep_tangent: reduction of the residual by an iteration up to which the next one uses the
+            same tangent: 0 is Newton's method, and 0.01 saves assembling and factorizing where
+            steps are so small that the first tangent serves to the end.
         line_search: halve a step while the residual does not decrease; while it is not finite, a
             step is halved in any case.
         tying: takes nodes of little mass out of the system; residuals are then those of the rest.
@@ -92,6 +97,7 @@ class NewtonSolver:
         rtol: float = 1e-9,
         atol: float = 1e-12,
         max_iterations: int = 25,
+        keep_tangent: float = 0.0,
         line_search: bool = False,
         tying: Tying | None = None,
         petsc_options: dict[str, Any] | None = None,
@@ -103,6 +109,7 @@ class NewtonSolver:
         self.bcs = list(bcs)
         self.rtol, self.atol = rtol, atol
         self.max_iterations = max_iterations
+        self.keep_tangent = keep_tangent
         self.line_search = line_search
         self.tying = tying
         self.linear = LinearSolver(self.J.mesh.comm, petsc_options)
@@ -177,6 +184,7 @@ class NewtonSolver:
         reference = norm
         logger.info("Newton       |R|          reduction  step")
         logger.info("  %3d    %.6e", 0, norm)
+        reduction = 1.0
         while True:
             has_gap = self._has_gap()
             converged = norm <= max(self.atol, self.rtol * reference) or self._stagnates
@@ -189,8 +197,10 @@ class NewtonSolver:
                     f"{self.rtol * reference:.1e} wanted; try smaller load steps or line_search",
                     result.residuals,
                 )
-            with result.seconds("assembly"):
-                A = self._tangent()
+            if result.tangents == 0 or has_gap or reduction > self.keep_tangent:
+                with result.seconds("assembly"):
+                    A = self._tangent()
+                result.tangents += 1
             if has_gap:
                 # the constrained values are still to be reached: the step moves all of U with them
                 with result.seconds("assembly"):
