@@ -17,13 +17,13 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat
-from fenicsmpm.forms import PointExpression
-from fenicsmpm.formulations import Kinematics, parts
+from fenicsmpm.forms import FieldUpdates, PointExpression
+from fenicsmpm.formulations import Kinematics, parts, subspaces
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
 from fenicsmpm.mapping import project
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import check_on_exit, move
-from fenicsmpm.solvers import NewtonError, NewtonResult, NewtonSolver
+from fenicsmpm.solvers import EffectiveProjection, NewtonError, NewtonResult, NewtonSolver
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
@@ -61,14 +61,15 @@ class ImplicitMPM:
 
     Args:
         R: residual, with inertia from the scheme.
-        U: its unknown, ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
+        U: its unknown, ``u``, ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
         scheme: time scheme made with U.
         bodies: material points with the fields of ``set_initial_state``.
         carried: further points that move with the grid, such as those that carry loads; each gets
             a field "u" if it has none.
         bcs: Dirichlet conditions on U, whose displacement is the share ``scheme.share`` of the
             step's increment (1 but for ``GeneralizedAlpha``); ``data`` sets those that move.
-        updates: for each body, more fields to be updated at the end of a step, UFL over its points.
+        updates: for each body, more fields to be updated at the end of a step: UFL over its points,
+            or functions that return new arrays.
         data: called with the times at the beginning of a step and at which its equations hold, to
             set loads, and boundary values of U by the motion between these times.
         taylor: continue velocities linearly from points to nodes when they are mapped, see
@@ -116,9 +117,14 @@ class ImplicitMPM:
         self.seconds = Stopwatch()
         self.next_dt = self._dt = float(scheme.dt.value)
         self.newton = NewtonSolver(R, U, bcs, **(newton or {}))
-        self._parts = [U.function_space.sub(i).collapse() for i in range(len(parts(U)))]
-        self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
         shapes = dict(zip(_PARTS, (part.ufl_shape for part in parts(U)), strict=False))
+        self._parts = subspaces(U.function_space)
+        self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
+        self._projection = None
+        if scheme.lumping < 1:
+            if taylor:
+                raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
+            self._projection = EffectiveProjection(self.bodies, self._parts[0][0], scheme.lumping)
         for body in self.bodies:
             _require_fields(body)
             for name, shape in shapes.items():
@@ -143,17 +149,21 @@ class ImplicitMPM:
                     else "updates of points that are neither bodies nor carried: they do not move"
                 )
         self._updates = {
-            points: _Updates(points, self._new_fields(points, updates or {}))
+            points: FieldUpdates(points, self._new_fields(points, updates or {}))
             for points in (*self.bodies, *self.carried)
         }
 
     # --- stages ------------------------------------------------------------------------------
 
     def map_to_grid(self) -> None:
-        """P2G: histories of the scheme, pressure and projections, by lumped mass."""
-        nodal = dict(zip(_PARTS[1:], self._nodal, strict=False))
+        """P2G: histories of the scheme by its mass, pressure and projections by lumped mass."""
+        functions = dict(zip(_PARTS[1:], self._nodal, strict=False))
+        if self._projection is None:
+            functions |= self.scheme.histories
+        else:
+            self._projection.project(self.scheme.histories)
         slopes = {"v": "grad_v"} if self.taylor else {}
-        project(self.bodies, {**self.scheme.histories, **nodal}, gradients=slopes)
+        project(self.bodies, functions, gradients=slopes)
 
     def predict(self) -> None:
         """Start Newton's method from the old pressure and a motion that goes on as it was.
@@ -250,14 +260,22 @@ class ImplicitMPM:
         self.number += 1
         return Step(self.number, self.time, dt, result, removed=removed)
 
-    def run(self, until: float, *, smallest: float = 1e-3) -> Iterator[Step]:
+    def run(
+        self,
+        until: float,
+        *,
+        step_length: Callable[[], float] | None = None,
+        smallest: float = 1e-3,
+    ) -> Iterator[Step]:
         """Steps until a time; one that fails is tried again with half its length.
 
         After a success, the step grows again up to the length that it had at first.
 
         Args:
             until: end [s].
-            smallest: share of the step's first length below which there is no use in trying.
+            step_length: gives the greatest length of each step [s] instead, such as
+                ``solvers.CourantStep`` (collective).
+            smallest: share of the greatest length below which there is no use in trying.
 
         Yields:
             Each step that was done.
@@ -270,6 +288,11 @@ class ImplicitMPM:
             raise ValueError(f"the end of a run must be finite: {until} s")
         attempts = 1
         while until - self.time > 1e-9 * self._dt:
+            if step_length is not None and attempts == 1:
+                # where no failure has cut it, the last step has had the greatest length
+                was_cut = self.next_dt < self._dt
+                self._dt = step_length()
+                self.next_dt = min(self.next_dt, self._dt) if was_cut else self._dt
             left = until - self.time
             # what is left is not to become a last step of nearly no length
             dt = left if left < 1.001 * self.next_dt else self.next_dt
@@ -367,34 +390,8 @@ class ImplicitMPM:
         )
 
 
-class _Updates:
-    """New values of several fields of a point set, compiled as one expression."""
-
-    def __init__(self, points: MaterialPoints, fields: Mapping[str, Any]) -> None:
-        self._points = points
-        self._shapes = {name: value.ufl_shape for name, value in fields.items()}
-        components = [
-            value[index] if index else value
-            for value in fields.values()
-            for index in np.ndindex(value.ufl_shape)
-        ]
-        self._expression = PointExpression(ufl.as_vector(components), points)
-
-    def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
-        n = len(self._points)
-        result = {name: np.empty((n, *shape)) for name, shape in self._shapes.items()}
-        for rows, values in self._expression.batches():
-            first = 0
-            for name, shape in self._shapes.items():
-                size = int(np.prod(shape, dtype=int))
-                part = values[:, first : first + size]
-                result[name][rows] = part.reshape(len(rows), *shape)
-                first += size
-        return result
-
-
 def _require_fields(body: MaterialPoints) -> None:
-    needed = ("mass", "V_0", "F", "J", "u", "v", "grad_v", "p")
+    needed = ("mass", "V_0", "F", "J", "u", "v", "grad_v")
     missing = [name for name in needed if name not in body]
     if missing:
         raise ValueError(

@@ -11,10 +11,11 @@ from fenicsmpm.forms.assembly import (
     inactive_dofs,
 )
 from fenicsmpm.forms.errors import UnsupportedFormError
-from fenicsmpm.forms.evaluate import PointExpression, describe_not_finite, evaluate
+from fenicsmpm.forms.evaluate import FieldUpdates, PointExpression, describe_not_finite, evaluate
 from fenicsmpm.forms.form import Form, form
 
 __all__ = [
+    "FieldUpdates",
     "Form",
     "PointExpression",
     "UnsupportedFormError",

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import basix.ufl
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms import extract_arguments
+from ufl.core.expr import Expr
 
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.form import Form
@@ -81,6 +82,41 @@ class PointExpression:
         for rows, values in self.batches():
             result[rows] = values
         return result.reshape(n, *self.shape)
+
+
+class FieldUpdates:
+    """New values of several fields of a point set; expressions are compiled as one.
+
+    Args:
+        points: the point set.
+        fields: by name, UFL over the points, or functions that return ``(n_points, *shape)``.
+    """
+
+    def __init__(self, points: MaterialPoints, fields: Mapping[str, Any]) -> None:
+        """Compile (collective)."""
+        self._points = points
+        self._functions = {name: f for name, f in fields.items() if not isinstance(f, Expr)}
+        expressions = {name: f for name, f in fields.items() if isinstance(f, Expr)}
+        self._shapes = {name: value.ufl_shape for name, value in expressions.items()}
+        components = [
+            value[index] if index else value
+            for value in expressions.values()
+            for index in np.ndindex(value.ufl_shape)
+        ]
+        self._expression = PointExpression(ufl.as_vector(components), points)
+
+    def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
+        """New arrays by name, in storage order; the fields stay as they are."""
+        n = len(self._points)
+        result = {name: np.empty((n, *shape)) for name, shape in self._shapes.items()}
+        for rows, values in self._expression.batches():
+            first = 0
+            for name, shape in self._shapes.items():
+                size = int(np.prod(shape, dtype=int))
+                part = values[:, first : first + size]
+                result[name][rows] = part.reshape(len(rows), *shape)
+                first += size
+        return result | {name: function() for name, function in self._functions.items()}
 
 
 def evaluate(expression: Any, points: MaterialPoints) -> npt.NDArray[np.float64]:

@@ -23,6 +23,7 @@ from fenicsmpm.forms.kernels import compile_pointwise
 from fenicsmpm.forms.lowering import CELL_GEOMETRY, Source, lower
 from fenicsmpm.forms.sites import Sites, Slices
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import ComputedField
 
 logger = logging.getLogger(__name__)
 
@@ -63,6 +64,9 @@ class PointIntegral:
             for source in self.lowered.inputs
             if type(source.item).__name__ in CELL_GEOMETRY
         }
+        # once for all fields that are computed together
+        items = (source.item for source in self.lowered.inputs)
+        self._updates = dict.fromkeys(i.update for i in items if isinstance(i, ComputedField))
         self._version: Any = None
         self._active: dict[int, npt.NDArray[np.int32]] = {}
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
@@ -207,6 +211,8 @@ class PointIntegral:
 
     def _inputs(self, sites: Sites) -> Callable[[Slices], npt.NDArray[np.float64]]:
         """Function of a batch that returns the kernel's inputs there."""
+        for update in self._updates:
+            update()
         sources = self.lowered.inputs
         plain = sites.plain_inputs(sources, self._cell_values)
         return lambda batch: sites.inputs(batch, sources, plain, self.dofs)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives, expand_indices
+from ufl.algorithms import expand_derivatives
 from ufl.classes import (
     CellAvg,
     Coefficient,
@@ -45,6 +45,7 @@ from ufl.classes import (
 from ufl.core.base_form_operator import BaseFormOperator
 from ufl.corealg.traversal import unique_post_traversal
 
+from fenicsmpm.forms.components import expand_components
 from fenicsmpm.forms.degree import degree_of
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.slots import SIMPLICES, Layout
@@ -123,7 +124,7 @@ def lower(integrand: Any, mesh: Any) -> PointwiseForm:
     form = expand_derivatives(integrand * ufl.Measure("dx", domain=mesh.ufl_domain()))
     integrals = form.integrals()
     expression = ufl.as_ufl(sum(lowering.rewrite(i.integrand()) for i in integrals))
-    return lowering.finish(expand_indices(expression))
+    return lowering.finish(expand_components(expression))
 
 
 class _Lowering:

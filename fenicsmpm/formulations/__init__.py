@@ -9,11 +9,20 @@ from fenicsmpm.formulations.boundary import (
     penalty_dirichlet,
     set_normals,
 )
+from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
 from fenicsmpm.formulations.ghost_penalty import ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.kinematics import Kinematics, embed
-from fenicsmpm.formulations.mixed import mixed, mixed_space, parts, volumetric_residual
+from fenicsmpm.formulations.midpoint import Midpoint
+from fenicsmpm.formulations.mixed import (
+    mixed,
+    mixed_space,
+    parts,
+    subspaces,
+    volumetric_residual,
+)
 from fenicsmpm.formulations.newmark import Bossak, GeneralizedAlpha, Newmark
+from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
     STABILIZATIONS,
     asgs,
@@ -30,9 +39,12 @@ __all__ = [
     "BDF2",
     "STABILIZATIONS",
     "Bossak",
+    "EnergyMomentum",
     "GeneralizedAlpha",
     "Kinematics",
+    "Midpoint",
     "Newmark",
+    "Response",
     "TimeScheme",
     "asgs",
     "dead_load",
@@ -52,6 +64,8 @@ __all__ = [
     "set_initial_state",
     "set_normals",
     "stabilized",
+    "stress_power",
+    "subspaces",
     "tau",
     "volumetric_residual",
 ]

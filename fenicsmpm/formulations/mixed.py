@@ -6,6 +6,8 @@ from __future__ import annotations
 from typing import Any
 
 import basix.ufl
+import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -56,8 +58,8 @@ def mixed(
     Returns:
         UFL form of rank 1.
     """
-    u, p = parts(U)[:2]
-    w, q = parts(V)[:2]
+    u, p = parts(U, 2)[:2]
+    w, q = parts(V, 2)[:2]
     k = Kinematics(u, points)
     # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w;
     # written like this, tangents need no inverse of f and cost a fraction
@@ -69,26 +71,42 @@ def mixed(
     return residual
 
 
-def parts(U: Any) -> Any:
-    """Split a function or argument of a mixed space.
+def parts(U: Any, least: int = 1) -> Any:
+    """Split a function or argument into the parts of a formulation's unknown.
 
     Args:
-        U: of a space from ``mixed_space``.
+        U: of a space of displacements, or from ``mixed_space``.
+        least: how many parts are needed.
 
     Returns:
-        ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
+        ``(u,)``, ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
 
     Raises:
-        ValueError: for other spaces.
+        ValueError: for other spaces, or with fewer parts than needed.
     """
-    split = ufl.split(U)
+    is_blocked = U.ufl_function_space().ufl_element().block_size > 1
+    split = (U,) if is_blocked else ufl.split(U)
     shapes = [part.ufl_shape for part in split]
-    if [len(shape) for shape in shapes] not in ([1, 0], [1, 0, 1, 0]):
+    if len(split) < least or [len(s) for s in shapes] not in ([1], [1, 0], [1, 0, 1, 0]):
         raise ValueError(
-            f"a mixed space of displacement and pressure is needed, but {U} has parts of shapes "
+            f"a {'mixed ' if least > 1 else ''}space of displacement"
+            f"{' and pressure' if least > 1 else ''} is needed, but {U} has parts of shapes "
             f"{shapes}: use mixed_space(mesh)"
         )
     return split
+
+
+def subspaces(V: fem.FunctionSpace) -> list[tuple[fem.FunctionSpace, npt.NDArray[np.int32]]]:
+    """Spaces of the parts of an unknown, and where their dofs are in V (collective).
+
+    Args:
+        V: space of displacements, or from ``mixed_space``.
+    """
+    if V.dofmap.index_map_bs > 1:
+        index_map = V.dofmap.index_map
+        size = (index_map.size_local + index_map.num_ghosts) * V.dofmap.index_map_bs
+        return [(V, np.arange(size, dtype=np.int32))]
+    return [V.sub(i).collapse() for i in range(V.num_sub_spaces)]
 
 
 def volumetric_residual(p: Any, k: Kinematics, law: NeoHookean) -> Any:

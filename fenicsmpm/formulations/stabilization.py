@@ -63,8 +63,8 @@ def ppp(
     Returns:
         UFL form of rank 1.
     """
-    u, p = parts(U)[:2]
-    _, q = parts(V)[:2]
+    u, p = parts(U, 2)[:2]
+    _, q = parts(V, 2)[:2]
     j = Kinematics(u, points).j
     rough_p = p - ufl.cell_avg(p)
     rough_q = q - ufl.cell_avg(q)
@@ -201,7 +201,7 @@ def residuals(
     Returns:
         j (rho b + grad p) per volume before the step [N/m^3], and U'(J)/kappa - p/kappa [-].
     """
-    u, p = parts(U)[:2]
+    u, p = parts(U, 2)[:2]
     k = Kinematics(u, points)
     R_u = _pressure_force(k, p)
     if force is not None:
@@ -224,8 +224,8 @@ def _subscales(
     of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q. S_u is
     per volume before the step, hence the division by j.
     """
-    u, p = parts(U)[:2]
-    _, q = parts(V)[:2]
+    u, p = parts(U, 2)[:2]
+    _, q = parts(V, 2)[:2]
     k = Kinematics(u, points)
     tau1, tau2 = tau(points, law, c1, c2)
     adjoint_u = -ufl.derivative(_pressure_force(k, p), U, V)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.formulations.mixed import parts, subspaces
 from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 
@@ -31,6 +31,7 @@ class TimeScheme(ABC):
         increment: displacement increment of the whole step [m], set by the scheme.
         acceleration: at which inertia is taken [m/s^2], set by the scheme.
         share: of a step, at whose end the equations hold.
+        lumping: share of the lumped mass in the one by which velocities are mapped to the grid.
 
     Raises:
         ValueError: for a time step that is not positive and finite, or a share of FLIP beyond
@@ -40,6 +41,7 @@ class TimeScheme(ABC):
     increment: Any
     acceleration: Any
     share = 1.0
+    lumping = 1.0
 
     def __init__(self, U: fem.Function, dt: float, flip: float, names: tuple[str, ...]) -> None:
         """Create the histories, zero by now."""
@@ -48,7 +50,7 @@ class TimeScheme(ABC):
             raise ValueError(f"the share of FLIP in the velocity must lie in [0, 1]: flip = {flip}")
         self.U, self.flip = U, flip
         self.dt = fem.Constant(U.function_space.mesh, float(dt))
-        space = U.function_space.sub(0).collapse()[0]
+        space = subspaces(U.function_space)[0][0]
         self.histories = {name: fem.Function(space, name=name) for name in names}
 
     def force(self, points: MaterialPoints, b: Any = None) -> Any:

@@ -86,6 +86,14 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _dissipated(eps_p, d, parameters):  # type: ignore[no-untyped-def]
+    """Integral of sigma_y - H eps_p from eps_p to eps_p + d."""
+    sigma_y, sigma_r, eta = parameters[2], parameters[3], parameters[4]
+    decay = -math.expm1(-eta * d) / eta if eta > 0 else d
+    return sigma_r * d + (sigma_y - sigma_r) * math.exp(-eta * eps_p) * decay
+
+
+@compiled
 def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mu, kappa = parameters[0], parameters[1]
     change = volume_change(F)
@@ -96,9 +104,8 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     if d > 0:
         f = 1 - 3 * mu * d / q
         e = (f * e[0], f * e[1], f * e[2], f * e[3], f * e[4], f * e[5])
+        state[_DISSIPATION] += _dissipated(state[_EPS_P], d, parameters)
         state[_EPS_P] += d
-        value, _ = yield_stress(state[_EPS_P], parameters)
-        state[_DISSIPATION] += (value - parameters[5] * state[_EPS_P]) * d
         # C_p^-1 = F^-1 b_e F^-T; its volume comes from J, so that errors do not add up
         root = cube_root(1 + change)
         r = root * root
@@ -186,9 +193,10 @@ class VonMises(Law):
     2.45 kPa are s_u = 25 and 1.5 kPa in triaxial compression, such round numbers in no other norm.
 
     State: the inverse plastic right Cauchy-Green tensor "C_p_inverse" ``(3, 3)``, "eps_p", and
-    "dissipation" [J/m^3], plastic work per initial volume that is not stored. With the increment d
-    of eps_p it grows by (sigma_y(eps_p) - H eps_p) d, at the end of the step (conservation, below
-    equation 47); what hardening stores, H eps_p^2 / 2, is part of the energy.
+    "dissipation" [J/m^3], plastic work per initial volume that is not stored: the integral of
+    sigma_y(eps_p) - H eps_p over eps_p. With linear hardening that is the paper's (conservation,
+    below equation 47); then, and in general, stress is the derivative of energy and dissipation
+    with respect to F. What hardening stores, H eps_p^2 / 2, is part of the energy.
 
     Args:
         E: Young's modulus [Pa], positive.

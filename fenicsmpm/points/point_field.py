@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import basix.ufl
@@ -24,15 +25,19 @@ class PointField(ufl.Coefficient):
     Args:
         points: the point set.
         name: name of one of its fields.
+        shape: of a value; that of the field if not given.
     """
 
-    def __init__(self, points: MaterialPoints, name: str) -> None:
+    def __init__(
+        self, points: MaterialPoints, name: str, shape: tuple[int, ...] | None = None
+    ) -> None:
         """Create the coefficient; use ``points.field(name)``."""
         mesh = points.mesh.ufl_domain()
+        shape = points.field_shape(name) if shape is None else shape
         # A quadrature element is UFL's own notion of "values at points only"; its degree must
         # not be zero, or UFL takes the field for constant in a cell and its gradient for zero.
         element = basix.ufl.quadrature_element(
-            points.mesh.basix_cell(), value_shape=points.field_shape(name), degree=2
+            points.mesh.basix_cell(), value_shape=shape, degree=2
         )
         super().__init__(ufl.FunctionSpace(mesh, element))
         self.points = points
@@ -46,3 +51,33 @@ class PointField(ufl.Coefficient):
     def __str__(self) -> str:
         """Name of the field, as it appears in printed forms."""
         return self.name
+
+
+class ComputedField(PointField):
+    """Values at points that are computed before each evaluation, such as the stresses of a law.
+
+    Args:
+        points: the point set.
+        name: to be shown in printed forms.
+        shape: of a value.
+        update: computes the values anew; fields that share it are computed together.
+        read: returns the values, ``(n_points, *shape)`` in storage order.
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        name: str,
+        shape: tuple[int, ...],
+        update: Callable[[], None],
+        read: Callable[[], npt.NDArray[np.float64]],
+    ) -> None:
+        """Create the coefficient; nothing is computed yet."""
+        super().__init__(points, name, shape)
+        self.update = update
+        self._read = read
+
+    @property
+    def values(self) -> npt.NDArray[np.float64]:
+        """The values of the last update, ``(n_points, *ufl_shape)``, not a copy."""
+        return self._read()

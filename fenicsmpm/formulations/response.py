@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""What a material answers to a deformation gradient, in forms over points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from fenicsmpm.forms import PointExpression
+from fenicsmpm.materials import Law
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import ComputedField
+
+Array = npt.NDArray[np.float64]
+Energy: TypeAlias = Callable[[Any], Any]
+
+
+class Response:
+    """Stress and work of a material as UFL over the points.
+
+    Args:
+        material: a law at points, with energy and tangent, or an energy per initial volume
+            ``psi(F)`` [J/m^3] in UFL.
+        points: the body; a law's state is in fields that have its names, added if missing.
+        F: deformation gradient, UFL expression 3x3.
+
+    Attributes:
+        F: the deformation gradient.
+        P: first Piola-Kirchhoff stress [Pa], 3x3.
+        work: free energy and what was dissipated, per initial volume [J/m^3].
+        updates: new fields of the state after a step that ends with F, for ``ImplicitMPM``.
+
+    Raises:
+        ValueError: for a law without energy or tangent, or one that depends on velocities.
+    """
+
+    def __init__(self, material: Law | Energy, points: MaterialPoints, F: Any) -> None:
+        """Write down stress and work."""
+        self.F = F
+        self.updates: Mapping[str, Any] = {}
+        if not isinstance(material, Law):
+            variable = ufl.variable(F)
+            self.work = material(variable)
+            self.P = ufl.diff(self.work, variable)
+            return
+        self.updates = {}
+        for name, (shape, value) in material.state.items():
+            if name not in points:
+                points.add_field(name, shape, value)
+        computed = _Computed(material, points, F)
+        self.updates = {name: computed.new_field(name) for name in material.state}
+        # Linear in F about the gradient F_0 for which the law was called: as this is the present
+        # one whenever a form is assembled, values are those of the law and ufl.derivative finds its
+        # tangent.
+        change = F - computed.field("F_0", (3, 3))
+        P_0, tangent = computed.field("P_0", (3, 3)), computed.field("dPdF", (3, 3, 3, 3))
+        i, j, k, m = ufl.indices(4)
+        self.P = P_0 + ufl.as_tensor(tangent[i, j, k, m] * change[k, m], (i, j))
+        # d work = P : dF, as plastic work is either stored or dissipated
+        self.work = computed.field("work_0", ()) + ufl.inner(P_0, change)
+
+    @property
+    def S(self) -> Any:
+        """Second Piola-Kirchhoff stress F^-1 P [Pa], 3x3."""
+        return ufl.inv(self.F) * self.P
+
+
+class _Computed:
+    """What a law returns at all points, computed when F has changed."""
+
+    def __init__(self, law: Law, points: MaterialPoints, F: Any) -> None:
+        missing = [name for name in ("energy", "tangent") if getattr(law, name) is None]
+        if missing or law.needs_rate:
+            raise ValueError(
+                f"a law in forms needs energy and tangent, and no velocities: {law!r} "
+                + (f"has no {' and no '.join(missing)}" if missing else "needs velocities")
+            )
+        self._law, self._points = law, points
+        self._F = PointExpression(F, points)
+        self._version: Any = None
+        self._values: dict[str, Array] = {}
+        self._state = law.initial_state(0)
+        self._has_dissipation = "dissipation" in law.columns
+
+    def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
+        """One of the results as a coefficient: "F_0", "P_0", "dPdF" or "work_0"."""
+        return ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
+
+    def new_field(self, name: str) -> Callable[[], Array]:
+        """Function that returns a field of the state after the step."""
+
+        def read() -> Array:
+            self.update()
+            return self._law.state_field(self._state, name).copy()
+
+        return read
+
+    def update(self) -> None:
+        """Call the law, unless it was called for the same deformation of the same points."""
+        law, points = self._law, self._points
+        F = self._F.evaluate()
+        if self._version == points.version and np.array_equal(F, self._values["F_0"]):
+            return
+        n = len(points)
+        old = law.initial_state(n)
+        for name in law.columns:
+            law.state_field(old, name)[...] = points[name]
+        new = old.copy()
+        P, tangent, work = np.empty((n, 3, 3)), np.empty((n, 3, 3, 3, 3)), np.empty(n)
+        _evaluate(
+            law.update, law.tangent, law.energy, law.parameters, F, old, new, P, tangent, work
+        )
+        if self._has_dissipation:
+            work += law.state_field(new, "dissipation")
+        self._state, self._version = new, points.version
+        self._values = {"F_0": F, "P_0": P, "dPdF": tangent, "work_0": work}
+
+
+# Compiled for each law, since its functions are a part of the types; numba cannot cache that.
+@numba.njit(parallel=True)
+def _evaluate(
+    update: Any, tangent: Any, energy: Any, parameters: Any,
+    F: Any, old: Any, new: Any, P: Any, dPdF: Any, work: Any,
+) -> None:  # fmt: skip
+    for p in numba.prange(len(F)):
+        sigma = np.empty((3, 3))
+        update(F[p], np.zeros((3, 3)), parameters, new[p], sigma)
+        f = F[p]
+        # P = sigma cof F
+        for j in range(3):
+            a, b = (j + 1) % 3, (j + 2) % 3
+            for k in range(3):
+                c, d = (k + 1) % 3, (k + 2) % 3
+                cofactor = f[a, c] * f[b, d] - f[a, d] * f[b, c]
+                for i in range(3):
+                    P[p, i, k] = (P[p, i, k] if j else 0.0) + sigma[i, j] * cofactor
+        tangent(f, parameters, old[p], dPdF[p])
+        work[p] = energy(f, parameters, new[p])
