@@ -141,12 +141,10 @@ class AuditedMPM(ImplicitMPM):
         x = space.tabulate_dof_coordinates()[:n, :dim]
         if motion is not None:
             x = x + motion.x.array.reshape(-1, dim)[:n]
-        p = np.empty_like(v)
         column, product = mass.createVecs()
-        for k in range(dim):
-            column.array_w[:] = v[:, k]
-            mass.mult(column, product)
-            p[:, k] = product.array_r
+        column.array_w[:] = v.ravel()
+        mass.mult(column, product)
+        p = product.array_r.reshape(-1, dim)
         turning = np.cross(x, p) if dim == 3 else x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]
         return Balance(
             comm.allreduce(p.sum(axis=0)),

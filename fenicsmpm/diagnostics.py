@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from fenicsmpm import forms
-from fenicsmpm.materials import NeoHookean
+from fenicsmpm import forms, materials
+from fenicsmpm.materials import Law, NeoHookean
 from fenicsmpm.points import MaterialPoints
 
 
@@ -54,20 +54,26 @@ def kinetic_energy(body: MaterialPoints) -> float:
     return float(body.mesh.comm.allreduce(body["mass"] @ np.sum(body["v"] ** 2, axis=1) / 2))
 
 
-def strain_energy(body: MaterialPoints, law: NeoHookean) -> float:
-    """Deviatoric strain energy, the sum of V_0 psi(F, J) over all points (collective).
+def strain_energy(body: MaterialPoints, law: NeoHookean | Law) -> float:
+    """Strain energy, the sum of V_0 psi over all points (collective).
 
-    It is all the strain energy of an incompressible material. The volumetric energy of a
-    compressible one is left out: in the mixed formulation the pressure is an unknown of its own,
-    and no law gives that energy from F alone.
+    Of a ``NeoHookean`` of the mixed formulation it is the deviatoric part, all there is of an
+    incompressible material. The volumetric energy of a compressible one is left out: the pressure
+    is an unknown of its own there, and no law gives that energy from F alone.
 
     Args:
-        body: material points with the fields "V_0", "F" and "J".
-        law: constitutive law.
+        body: material points with the fields "V_0", "F" and "J", and those of a law's state.
+        law: constitutive law; one at points must have an energy.
 
     Returns:
         [J], per thickness in the plane.
+
+    Raises:
+        ValueError: for a law at points without an energy.
     """
+    if isinstance(law, Law):
+        psi = materials.energy(law, body["F"], materials.state_of(law, body))
+        return float(body.mesh.comm.allreduce(body["V_0"] @ psi))
     F, J = body.field("F"), body.field("J")
     energy = law.energy(F, J) * body.field("V_0") / body.field("weight")
     return float(forms.assemble_scalar(forms.form(energy * body.dx)))

@@ -124,7 +124,10 @@ class ImplicitMPM:
         if scheme.lumping < 1:
             if taylor:
                 raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
-            self._projection = EffectiveProjection(self.bodies, self._parts[0][0], scheme.lumping)
+            space, tying = self._parts[0][0], self.newton.tying
+            self._projection = EffectiveProjection(
+                self.bodies, space, scheme.lumping, tying, self.newton.bcs
+            )
         for body in self.bodies:
             _require_fields(body)
             for name, shape in shapes.items():

@@ -153,7 +153,7 @@ def test_tangent_is_the_derivative(material):
     sim.map_to_grid()
     R, J, U = sim.newton.R, sim.newton.J, sim.U
     x = U.x.array
-    sim.predict()
+    x[:] = 0.05 * sim.scheme.histories["v"].x.array  # away from the corner of the yield surface
     direction = np.random.default_rng(1).standard_normal(len(x))
     direction[forms.inactive_dofs(J)] = 0
     start = x.copy()

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
@@ -58,6 +60,13 @@ class Midpoint(TimeScheme):
     def lumped(self, V: Any, points: MaterialPoints) -> ufl.Form:
         """See ``TimeScheme``; the share epsilon of inertia."""
         return self.lumping * super().lumped(V, points)
+
+    def predictions(self) -> list[npt.NDArray[np.float64]]:
+        """None: steps start from no motion, from where Newton's method needs the fewest iterations.
+
+        A motion that goes on as it was turns, stretches and presses together what only turns.
+        """
+        return []
 
     def grid_velocity(self) -> Any:
         """Velocity on the grid at the end of the step [m/s], UFL."""

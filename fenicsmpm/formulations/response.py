@@ -12,7 +12,7 @@ import numpy.typing as npt
 import ufl
 
 from fenicsmpm.forms import PointExpression
-from fenicsmpm.materials import Law
+from fenicsmpm.materials import Law, state_of
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import ComputedField
 
@@ -107,9 +107,7 @@ class _Computed:
         if self._version == points.version and np.array_equal(F, self._values["F_0"]):
             return
         n = len(points)
-        old = law.initial_state(n)
-        for name in law.columns:
-            law.state_field(old, name)[...] = points[name]
+        old = state_of(law, points)
         new = old.copy()
         P, tangent, work = np.empty((n, 3, 3)), np.empty((n, 3, 3, 3, 3)), np.empty(n)
         _evaluate(

@@ -19,6 +19,7 @@ from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm.mapping.active_cells import ActiveCells
+from fenicsmpm.mapping.transfer import p2g
 from fenicsmpm.mapping.weight_correction import filled_fractions, nodes_of
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
@@ -28,8 +29,9 @@ from fenicsmpm.points.geometry import cell_geometry
 class Tying:
     """Linear extrapolation to the ill nodes of a linear space, all components alike.
 
-    A node of active cells is ill if none of its cells is well filled. Its values are those of the
-    linear function of one well-filled cell, the one with the nearest centroid; never of a chain.
+    A node of active cells, or whose function is not zero at all points, is ill if none of its
+    cells is well filled. Its values are those of the linear function of one well-filled cell, the
+    one with the nearest centroid; never of a chain.
 
     Args:
         space: linear Lagrange space, scalar, blocked or mixed.
@@ -58,6 +60,7 @@ class Tying:
         if not 0 < threshold < np.inf:
             raise ValueError(f"cells are well filled from a positive fraction on, not {threshold}")
         self.space, self.body, self.cells, self.threshold = space, body, cells, threshold
+        self._vertices = fem.functionspace(space.mesh, ("Lagrange", 1))
         dofmap = space.dofmap
         bs, blocks = dofmap.index_map_bs, dofmap.index_map
         local = np.arange(blocks.size_local + blocks.num_ghosts, dtype=np.int32)
@@ -128,7 +131,7 @@ class Tying:
         self.matrix.multTranspose(b, self._work)
         b.array_w[:] = self._work.array_r
 
-    def reduce(self, A: PETSc.Mat, b: PETSc.Vec) -> PETSc.Mat:
+    def reduce(self, A: PETSc.Mat, b: PETSc.Vec | None = None) -> PETSc.Mat:
         """Matrix T^T A T of the free unknowns; tied and constrained ones have the diagonal 1.
 
         The same object is overwritten until the next ``update``. Collective.
@@ -137,11 +140,14 @@ class Tying:
             A: matrix without Dirichlet conditions, whose inactive rows are set to zero; of the same
                 pattern until the next ``update``.
             b: restricted right-hand side with the wanted values at the entries constrained by the
-                conditions of the last ``update``; their contribution is subtracted elsewhere.
+                conditions of the last ``update``; their contribution is subtracted elsewhere. None
+                for a system in which these conditions do not hold.
         """
         A.diagonalScale(self._real_rows)
         self._reduced = A.PtAP(self.matrix, self._reduced)
         self._reduced.setDiagonal(self._tied, PETSc.InsertMode.ADD)
+        if b is None:
+            return self._reduced
         self._work.array_w[:] = b.array_r
         self._reduced.zeroRowsColumns(self._fixed, 1.0, self._work, b)
         return self._reduced
@@ -151,7 +157,7 @@ class Tying:
         mesh = self.space.mesh
         well = filled_fractions(self.body) >= self.threshold
         full, rest = np.flatnonzero(well), np.flatnonzero(~well)
-        ill = nodes_of(mesh, self.cells.cells) & ~nodes_of(mesh, full)
+        ill = (nodes_of(mesh, self.cells.cells) | self._seen()) & ~nodes_of(mesh, full)
         tied = ill[:, None] & (self._node_dofs < self._sizes[0])
         tied &= ~np.isin(self._node_dofs, fixed)
         nodes, component = np.nonzero(tied)
@@ -171,6 +177,14 @@ class Tying:
         at_node = np.column_stack([np.ones(len(x)), x])
         weights = np.einsum("nki,nk->ni", np.linalg.pinv(linear), at_node)
         return self._node_dofs[nodes, component], dofs[cell, :, component], weights
+
+    def _seen(self) -> npt.NDArray[np.bool_]:
+        """``(n_nodes,)`` whether functions of a node are not zero at all points, however small."""
+        space = self._vertices
+        seen = np.zeros(len(self.space.mesh.geometry.x), dtype=np.bool_)
+        volume = p2g(self.body, self.body.weight, space).array
+        seen[_compat.geometry_dofmap(space.mesh)] = (volume != 0)[space.dofmap.list]
+        return seen
 
     def _gather(self, rim: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
         """Corners and global dofs of the rim's cells on all ranks, in the order of their keys."""

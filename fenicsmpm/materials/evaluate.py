@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.materials.law import Law
+from fenicsmpm.points import MaterialPoints
 
 Array = npt.NDArray[np.float64]
 
@@ -78,6 +79,19 @@ def tangent(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
     result = np.empty((len(F), 3, 3, 3, 3))
     _tangent(law.tangent, F, law.parameters, state, result)
     return result
+
+
+def state_of(law: Law, points: MaterialPoints) -> Array:
+    """State of material points, ``(n_points, law.n_state)``, from fields with the state's names.
+
+    Args:
+        law: constitutive law.
+        points: the body.
+    """
+    state = law.initial_state(len(points))
+    for name in law.columns:
+        law.state_field(state, name)[...] = points[name]
+    return state
 
 
 def _checked(law: Law, F: npt.ArrayLike, state: Array | None) -> tuple[Array, Array]:

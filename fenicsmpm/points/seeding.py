@@ -141,32 +141,37 @@ def random(
 
 
 def lattice(
-    mesh: Mesh, spacing: float, inside: Predicate | None = None, tag: int = 0
+    mesh: Mesh,
+    spacing: float | npt.NDArray[np.float64],
+    inside: Predicate | None = None,
+    tag: int = 0,
 ) -> MaterialPoints:
     """Points on a regular lattice, independent of the cells.
 
     The lattice starts half a spacing from the lower corner of the mesh's bounding box. Every point
-    in the mesh (and `inside`) has the weight spacing**d.
+    in the mesh (and `inside`) has the weight spacing**d, or the product of the spacings.
 
     Args:
         mesh: Background mesh.
-        spacing: Distance of neighbours in m.
+        spacing: Distance of neighbours in m, one number or one for each direction.
         inside: Only points where this is true.
         tag: Tag of the points.
 
     Raises:
-        ValueError: If the spacing is not positive or there are no points at all.
+        ValueError: If a spacing is not positive or there are no points at all.
     """
-    if not 0.0 < spacing < np.inf:
-        raise ValueError(f"the spacing of a lattice must be positive, not {spacing}")
     geometry = cell_geometry(mesh)
+    step = np.asarray(spacing, dtype=np.float64)
+    if step.shape not in ((), (geometry.dim,)) or not np.all((step > 0) & (step < np.inf)):
+        raise ValueError(f"the spacing of a lattice must be positive, not {spacing}")
+    step = np.broadcast_to(step, geometry.dim)
     own = geometry.corners[: geometry.num_owned].reshape(-1, geometry.dim)
     origin = np.empty(geometry.dim)
     mesh.comm.Allreduce(own.min(axis=0, initial=np.inf), origin, MPI.MIN)
-    index = _lattice_indices(own, origin, spacing)
+    index = _lattice_indices(own, origin, step)
 
     def position(index: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-        return origin + (index + 0.5) * spacing
+        return origin + (index + 0.5) * step
 
     if inside is not None:
         error, mask = check_selection(inside, position(index))
@@ -183,7 +188,7 @@ def lattice(
     shared = np.unique(shared, axis=0)[mesh.comm.rank :: mesh.comm.size]
     x = position(np.concatenate([mine, shared]))
     _check_any(mesh, len(x), f"a lattice of spacing {spacing}", inside)
-    points = MaterialPoints(mesh, x, spacing**geometry.dim, tag=tag)
+    points = MaterialPoints(mesh, x, float(np.prod(step)), tag=tag)
     points.sort()
     return points
 
@@ -332,7 +337,9 @@ def _draw(
 
 
 def _lattice_indices(
-    corners: npt.NDArray[np.float64], origin: npt.NDArray[np.float64], spacing: float
+    corners: npt.NDArray[np.float64],
+    origin: npt.NDArray[np.float64],
+    spacing: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.int64]:
     """Indices (n, d) of the lattice points in the bounding box of some cells, and a few beside."""
     if not len(corners):

@@ -14,48 +14,69 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import forms
-from fenicsmpm.mapping import p2g
+from fenicsmpm.mapping import Tying, p2g
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 
 # The right-hand side is in the range of the mass, also where points are so few that the mass is
 # singular. Conjugate gradients then find the solution of least size, and the diagonal takes
-# care of nodes of nearly no mass.
+# care of nodes of nearly no mass. Residuals are measured by their energy, in which round-off at
+# such nodes counts as little as elsewhere.
 _OPTIONS = {
     "ksp_type": "cg",
+    "ksp_norm_type": "natural",
     "pc_type": "jacobi",
     "ksp_rtol": 1e-14,
     "ksp_atol": 1e-300,
-    "ksp_max_it": 2000,
+    "ksp_max_it": 5000,
 }
 
 
 class EffectiveProjection:
     """Velocities of nodes from those of points by (1 - epsilon) M + epsilon M_lumped.
 
-    Conservation paper, equations 18 and 26.
+    Conservation paper, equations 18 and 26. With tied nodes, the equation holds for the functions
+    that obey them: momenta, and the energy that points gain, are kept all the same, since these
+    functions are among those of the solution.
 
     Args:
         point_sets: bodies with the field "mass" [kg].
         space: of the grid functions, blocked Lagrange.
         lumping: share epsilon of the lumped mass [-].
+        tying: tied nodes of the space; None for none.
+        bcs: Dirichlet conditions on the space; what they constrain is not tied.
+
+    Raises:
+        ValueError: for tied nodes of another space.
     """
 
     def __init__(
-        self, point_sets: Sequence[MaterialPoints], space: fem.FunctionSpace, lumping: float
+        self,
+        point_sets: Sequence[MaterialPoints],
+        space: fem.FunctionSpace,
+        lumping: float,
+        tying: Tying | None = None,
+        bcs: Sequence[fem.DirichletBC] = (),
     ) -> None:
         """Compile the mass (collective)."""
+        if tying is not None and tying.space is not space:
+            raise ValueError(
+                "with the consistent mass, nodes can be tied in displacement formulations only, "
+                f"in their space, not in {tying.space}"
+            )
         self.point_sets, self.space, self.lumping = list(point_sets), space, lumping
-        element = space.ufl_element()
-        scalar = element.sub_elements[0] if element.block_size > 1 else element
-        self._scalar = fem.functionspace(space.mesh, scalar)
-        v, w = ufl.TrialFunction(self._scalar), ufl.TestFunction(self._scalar)
-        consistent = sum(p.field("mass") / p.field("weight") * v * w * p.dx for p in point_sets)
+        self._tying, self._bcs = tying, list(bcs)
+        v, w = ufl.TrialFunction(space), ufl.TestFunction(space)
+        density = [points.field("mass") / points.field("weight") for points in point_sets]
+        consistent = sum(
+            rho * ufl.inner(v, w) * points.dx
+            for rho, points in zip(density, point_sets, strict=True)
+        )
         self._form = forms.form(consistent)
         self._solver = LinearSolver(space.mesh.comm, _OPTIONS)
 
     def mass(self) -> PETSc.Mat:
-        """The effective mass of the points as they are [kg], one row a node (collective).
+        """The effective mass of the points as they are [kg] (collective).
 
         Nodes without points have a row of the identity.
         """
@@ -64,7 +85,7 @@ class EffectiveProjection:
         if self.lumping > 0:
             A.scale(1 - self.lumping)
             diagonal = A.getDiagonal()
-            diagonal.array_w[:] += self.lumping * self._sums("mass")[:, 0]
+            diagonal.array_w[:] += self.lumping * self._sums("mass")
             diagonal.array_w[forms.petsc.unreached_rows(A)] = 1.0
             A.setDiagonal(diagonal)
         return A
@@ -80,18 +101,20 @@ class EffectiveProjection:
         """
         A = self.mass()
         b, x = A.createVecs()
+        if self._tying is not None:
+            self._tying.update(self._bcs, forms.petsc.unreached_rows(A))
         results = {}
         for name in functions:
-            momenta = self._sums(name)
-            result = np.empty_like(momenta)
-            for k in range(momenta.shape[1]):
-                b.array_w[:] = momenta[:, k]
+            b.array_w[:] = self._sums(name)
+            if self._tying is None:
                 self._solve(A, b, x)
-                result[:, k] = x.array_r
-            results[name] = result
+            else:
+                self._tying.restrict(b)
+                self._solve(self._tying.reduce(A), b, x)
+                self._tying.extend(x)
+            results[name] = x.array_r.copy()
         for name, result in results.items():
-            owned = functions[name].x.array[: result.size]
-            owned[:] = result.ravel()
+            functions[name].x.array[: len(result)] = result
             functions[name].x.scatter_forward()
         for item in (A, b, x):
             item.destroy()
@@ -102,18 +125,15 @@ class EffectiveProjection:
         except LinearSolverError as error:
             raise LinearSolverError(
                 "the mass of the points is singular or not finite, so that their velocities cannot "
-                "be mapped to the grid: check their masses, or use some lumped mass "
-                f"(lumping > 0); {error}"
+                "be mapped to the grid: check their masses; where few points see a node, tie it "
+                f"(mapping.Tying) or use some lumped mass (lumping > 0); {error}"
             ) from error
 
     def _sums(self, name: str) -> npt.NDArray[np.float64]:
-        """``(n_owned_nodes, size)`` sums of N_I m f, or of N_I m for "mass"."""
+        """``(n_owned_dofs,)`` sums of N_I m f, or of N_I m for "mass"."""
+        bs = self.space.dofmap.index_map_bs
         total: Any = 0.0
         for points in self.point_sets:
-            mass = points["mass"]
-            values = mass[:, None] if name == "mass" else mass[:, None] * points[name]
-            total = total + p2g(points, values, self._scalar).array
-        index_map = self._scalar.dofmap.index_map
-        return total.reshape(index_map.size_local + index_map.num_ghosts, -1)[
-            : index_map.size_local
-        ]
+            values = np.ones((len(points), bs)) if name == "mass" else points[name]
+            total = total + p2g(points, points["mass"][:, None] * values, self.space).array
+        return total[: self.space.dofmap.index_map.size_local * bs]
