@@ -106,9 +106,9 @@ def build(case):
 
 # ## Running
 #
-# The paper takes five times the step of explicit dynamics. It finds that with the sum of the points'
-# moduli at a node instead of their mean, which is as many times larger as there are points in a
-# cell; so these are 5/35 of the step by the mean, and 0.057 s.
+# The paper takes five times the step of explicit dynamics, which it finds with the sum of the
+# points' moduli at a node instead of their mean. That is as many times larger as there are points
+# in a cell; so its steps are 5/35 of that by the mean, or 0.055 s.
 #
 # Pictures are taken when there is most strain energy, and before and after that.
 
