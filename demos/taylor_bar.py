@@ -189,7 +189,7 @@ def main(arguments=None):
         parser.error("the stress of the mid-point has no plastic state at the end of a step")
     io.show_log(logging.INFO if options.verbose else logging.WARNING)
     if options.short:
-        return show([Case(cells=12, dt=1e-6)], 3e-6, options.output)
+        return show([Case(cells=25, dt=2 * default.dt)], 3e-6, options.output)
     size = {} if options.full else {"cells": 25, "dt": 2 * default.dt}
     cases = [Case(method, **size) for method in options.method or ["energy-momentum"]]
     return show(cases, options.until, options.output)

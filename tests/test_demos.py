@@ -282,3 +282,70 @@ def test_dam_break(tmp_path):
     _, history, _, at_rest = demo.run(demo.Case(), 0.4)
     assert at_rest < 0.02
     assert np.abs(history[:, 3:] - 1).max() < 0.01 and np.abs(history[:, 2]).max() < 0.01
+
+
+# --- energy conserved --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("cantilever", "--until 0"),
+        ("cantilever", "--points 0"),
+        ("cantilever", "--study --analysis B"),
+        ("cylinder_collision", "--until 0"),
+        ("cylinder_collision", "--study --plastic"),
+        ("cylinder_collision", "--plastic --method symplectic"),
+        ("taylor_bar", "--until -1"),
+        ("taylor_bar", "--short --full"),
+        ("taylor_bar", "--method symplectic"),
+    ],
+)
+def test_wrong_options_of_the_conserving_demos(name, arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        import_module(name).main(arguments.split())
+    assert stopped.value.code == 2
+    assert "error:" in capsys.readouterr().err
+
+
+def test_cantilever(tmp_path, monkeypatch):
+    """With fewer points, and let go sooner, than in the paper."""
+    cantilever = import_module("cantilever")
+    monkeypatch.setattr(cantilever, "RELEASE", 6.0)
+    cases = [
+        cantilever.Case(method=method, per_direction=4) for method in ("energy-momentum", "pic")
+    ]
+    conserving, pic = (cantilever.run(case, 15.0)[0].table() for case in cases)
+    assert cantilever.drift(conserving, 6.0) < 1e-9
+    assert conserving[:, 5].max() <= 4
+    assert cantilever.drift(pic, 6.0) > 1e-4
+    assert conserving[-1, 4] > 100.0  # J
+    cantilever.main(["--short", "--output", str(tmp_path)])
+    assert (tmp_path / "cantilever_energies.png").stat().st_size > 10_000
+    assert np.loadtxt(
+        tmp_path / "cantilever_A_energy-momentum.csv", delimiter=",", skiprows=3
+    ).shape == (6, 6)
+
+
+@pytest.mark.mpi
+def test_cylinder_collision():
+    """Plastic, until the cylinders have met, with fewer points."""
+    collision = import_module("cylinder_collision")
+    case = collision.Case(plastic=True, per_direction=10)
+    energies, momenta, _, frames = collision.run(case, 3.0)
+    table = energies.table()
+    assert list(frames) == ["A", "B"]
+    assert table[-1, 3] > 5.0  # J dissipated
+    assert momenta.linear < 1e-12 and momenta.angular < 1e-10
+    assert collision.drift(table, 0.0) < 1e-9
+
+
+def test_taylor_bar():
+    """The first tenth, on a coarse mesh."""
+    taylor = import_module("taylor_bar")
+    _, energies, shapes = taylor.run(taylor.Case(cells=25, dt=7.5e-7), 7.5e-6)
+    table = energies.table()
+    assert taylor.drift(table, 0.0) < 1e-8
+    assert table[-1, 3] > 0.1 * table[0, 4]
+    assert np.all(np.diff(shapes[:, 1:], axis=0) >= 0)
+    assert shapes[-1, 1] == pytest.approx(taylor.SPEED * 7.5e-6, rel=0.01)

@@ -10,7 +10,7 @@ from fenicsmpm.formulations.boundary import (
     set_normals,
 )
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
-from fenicsmpm.formulations.ghost_penalty import ghost_penalty
+from fenicsmpm.formulations.ghost_penalty import ghost_mass, ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.midpoint import Midpoint
@@ -52,6 +52,7 @@ __all__ = [
     "element_size",
     "embed",
     "follower_pressure",
+    "ghost_mass",
     "ghost_penalty",
     "mixed",
     "mixed_space",
