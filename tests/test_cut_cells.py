@@ -388,7 +388,7 @@ def condition(remedy, share):
     if remedy == "tying":
         tying = Tying(V, body, cells)
         tying.update((), forms.inactive_dofs(J))
-        A = tying.reduce(A)
+        A = tying.reduce(A, A.createVecLeft())
     rows, columns, values = A.getValuesCSR()
     dense = np.zeros(A.getSize())
     dense[np.repeat(np.arange(len(dense)), np.diff(rows)), columns] = values

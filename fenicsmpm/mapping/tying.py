@@ -98,7 +98,8 @@ class Tying:
         owned = self._sizes[0]
         fixed = np.unique(np.concatenate([np.empty(0, np.int32), *map(_compat.bc_dofs, bcs)]))
         self._fixed = self._global[fixed[fixed < owned]].astype(PETSc.IntType)
-        dofs, columns, weights = self._extrapolation(fixed)
+        dofs, columns, weights, bare = self._extrapolation(fixed)
+        self._bare = self._global[bare].astype(PETSc.IntType)
         # a tied row also has its diagonal, zero, so that the reduced matrix has room for a one
         entries = np.ones(owned, dtype=PETSc.IntType)
         entries[dofs] += weights.shape[1]
@@ -131,7 +132,7 @@ class Tying:
         self.matrix.multTranspose(b, self._work)
         b.array_w[:] = self._work.array_r
 
-    def reduce(self, A: PETSc.Mat, b: PETSc.Vec | None = None) -> PETSc.Mat:
+    def reduce(self, A: PETSc.Mat, b: PETSc.Vec, constrained: bool = True) -> PETSc.Mat:
         """Matrix T^T A T of the free unknowns; tied and constrained ones have the diagonal 1.
 
         The same object is overwritten until the next ``update``. Collective.
@@ -140,26 +141,34 @@ class Tying:
             A: matrix without Dirichlet conditions, whose inactive rows are set to zero; of the same
                 pattern until the next ``update``.
             b: restricted right-hand side with the wanted values at the entries constrained by the
-                conditions of the last ``update``; their contribution is subtracted elsewhere. None
-                for a system in which these conditions do not hold.
+                conditions of the last ``update``; their contribution is subtracted elsewhere.
+            constrained: whether these conditions hold for the solution. If not, what they constrain
+                is free, but zero at ill nodes, where nothing else would tell its value.
         """
         A.diagonalScale(self._real_rows)
         self._reduced = A.PtAP(self.matrix, self._reduced)
         self._reduced.setDiagonal(self._tied, PETSc.InsertMode.ADD)
-        if b is None:
-            return self._reduced
-        self._work.array_w[:] = b.array_r
-        self._reduced.zeroRowsColumns(self._fixed, 1.0, self._work, b)
+        if constrained:
+            self._work.array_w[:] = b.array_r
+        else:
+            self._work.set(0.0)
+        known = self._fixed if constrained else self._bare
+        self._reduced.zeroRowsColumns(known, 1.0, self._work, b)
         return self._reduced
 
-    def _extrapolation(self, fixed: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """Owned tied dofs ``(n,)``, global dofs ``(n, n_vertices)`` to take, and their weights."""
+    def _extrapolation(self, fixed: npt.NDArray) -> tuple[npt.NDArray, ...]:
+        """Owned tied dofs ``(n,)``, global dofs ``(n, n_vertices)`` to take, and their weights.
+
+        The fourth array has owned dofs of ill nodes that are not tied because they are fixed.
+        """
         mesh = self.space.mesh
         well = filled_fractions(self.body) >= self.threshold
         full, rest = np.flatnonzero(well), np.flatnonzero(~well)
         ill = (nodes_of(mesh, self.cells.cells) | self._seen()) & ~nodes_of(mesh, full)
         tied = ill[:, None] & (self._node_dofs < self._sizes[0])
-        tied &= ~np.isin(self._node_dofs, fixed)
+        is_fixed = np.isin(self._node_dofs, fixed)
+        bare = np.unique(self._node_dofs[tied & is_fixed])
+        tied &= ~is_fixed
         nodes, component = np.nonzero(tied)
         rim = full[nodes_of(mesh, rest)[_compat.geometry_dofmap(mesh)[full]].any(axis=1)]
         corners, dofs = self._gather(rim)
@@ -176,7 +185,7 @@ class Tying:
         linear = np.concatenate([np.ones((*corners.shape[:2], 1)), corners], axis=2)[cell]
         at_node = np.column_stack([np.ones(len(x)), x])
         weights = np.einsum("nki,nk->ni", np.linalg.pinv(linear), at_node)
-        return self._node_dofs[nodes, component], dofs[cell, :, component], weights
+        return self._node_dofs[nodes, component], dofs[cell, :, component], weights, bare
 
     def _seen(self) -> npt.NDArray[np.bool_]:
         """``(n_nodes,)`` whether functions of a node are not zero at all points, however small."""

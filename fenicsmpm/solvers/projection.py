@@ -20,13 +20,13 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 
 # The right-hand side is in the range of the mass, also where points are so few that the mass is
-# singular. Conjugate gradients then find the solution of least size, and the diagonal takes
-# care of nodes of nearly no mass. Residuals are measured by their energy, in which round-off at
-# such nodes counts as little as elsewhere. They end at round-off, sooner or later.
+# singular: conjugate gradients then find a solution. Residuals are measured by their energy, in
+# which round-off at nodes of nearly no mass counts as little as elsewhere. They end at round-off,
+# sooner or later.
 _OPTIONS = {
     "ksp_type": "cg",
     "ksp_norm_type": "natural",
-    "pc_type": "jacobi",
+    "pc_type": "jacobi",  # robust; incomplete factors are not, where the mass is nearly singular
     "ksp_rtol": 1e-14,
     "ksp_atol": 1e-300,
     "ksp_max_it": 5000,
@@ -113,7 +113,7 @@ class EffectiveProjection:
                 self._solve(A, b, x)
             else:
                 self._tying.restrict(b)
-                self._solve(self._tying.reduce(A), b, x)
+                self._solve(self._tying.reduce(A, b, constrained=False), b, x)
                 self._tying.extend(x)
             results[name] = x.array_r.copy()
         for name, result in results.items():

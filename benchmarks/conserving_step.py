@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""Time of a step that conserves energy beside that of Newmark's method.
+
+The demos `cantilever.py` (in the plane) and `taylor_bar.py` (in space), the same points and mesh;
+steps of both methods take turns. Medians; an iteration of each is compared as well, since the
+methods may need different numbers of them.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import machine
+import numba
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
+import cantilever
+import taylor_bar
+
+METHODS = ("energy-momentum", "newmark")
+
+
+def steps(sims, first, n):
+    """Seconds and Newton iterations of n steps after some first ones, by method."""
+    found = {method: [] for method in sims}
+    for k in range(first + n):
+        for method, sim in sims.items():
+            begin = time.perf_counter()
+            step = sim.step()
+            if k >= first:
+                found[method].append((time.perf_counter() - begin, step.newton.iterations))
+    return {method: np.array(rows) for method, rows in found.items()}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--steps", type=int, default=15, help="to measure")
+    parser.add_argument("--threads", type=int, default=2)
+    options = parser.parse_args()
+    numba.set_num_threads(options.threads)
+    print(machine.describe())
+    print(f"{'':<14}{'points':>8}{'method':>18}{'s a step':>10}{'iterations':>12}{'s each':>9}")
+    # the cantilever after its release, the bar from when its foot has spread a little
+    builders = {
+        "cantilever A": (lambda m: cantilever.build(cantilever.Case(method=m)), 45),
+        "Taylor bar": (
+            lambda m: taylor_bar.build(taylor_bar.Case(m, cells=25, dt=7.5e-7, tying=0.5)),
+            5,
+        ),
+    }
+    for name, (build, first) in builders.items():
+        sims = {method: build(method) for method in METHODS}
+        measured = steps(sims, first, options.steps)
+        medians = {}
+        for method, rows in measured.items():
+            seconds, iterations = np.median(rows, axis=0)
+            each = np.median(rows[:, 0] / rows[:, 1])
+            medians[method] = seconds, each
+            points = len(sims[method].bodies[0])
+            print(f"{name:<14}{points:8d}{method:>18}{seconds:10.3f}{iterations:12.1f}{each:9.3f}")
+        ratios = np.divide(*(medians[method] for method in METHODS))
+        print(f"{name:<14}{'ratio':>26}{ratios[0]:10.2f}{'':>12}{ratios[1]:9.2f}")
+
+
+if __name__ == "__main__":
+    main()
