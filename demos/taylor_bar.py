@@ -108,7 +108,7 @@ def run(case, until=END):
     law = copper()
     estimate = CourantStep({bar: law}, 1.0)()
     io.say(
-        f"{case.label()}: {len(bar)} material points, steps of {case.dt:.3g} s, "
+        f"{case.label()}: {bar.size_global} material points, steps of {case.dt:.3g} s, "
         f"{case.dt / estimate:.1f} times that of explicit dynamics"
     )
     energies, shapes = Energies(sim, law), [(0.0, 0.0, 0.0)]

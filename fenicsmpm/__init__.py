@@ -8,6 +8,7 @@ from mpi4py import MPI
 import numba
 
 from fenicsmpm import (
+    audit,
     basis,
     diagnostics,
     explicit,
@@ -27,6 +28,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ImplicitMPM",
     "MaterialPoints",
+    "audit",
     "basis",
     "diagnostics",
     "explicit",

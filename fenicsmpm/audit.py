@@ -116,6 +116,7 @@ class AuditedMPM(ImplicitMPM):
         velocity.interpolate(self._nodal_velocity)
         motion.interpolate(self._nodal_motion)
         self._found["grid_after"] = self._grid_balance(self._mass, velocity, motion)
+        self._mass.destroy()
         return super().convect(new)
 
     def step(self, dt: float | None = None) -> Step:
@@ -144,7 +145,9 @@ class AuditedMPM(ImplicitMPM):
         column, product = mass.createVecs()
         column.array_w[:] = v.ravel()
         mass.mult(column, product)
-        p = product.array_r.reshape(-1, dim)
+        p = product.array_r.reshape(-1, dim).copy()
+        column.destroy()
+        product.destroy()
         turning = np.cross(x, p) if dim == 3 else x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]
         return Balance(
             comm.allreduce(p.sum(axis=0)),

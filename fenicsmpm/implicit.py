@@ -24,6 +24,7 @@ from fenicsmpm.mapping import project
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import check_on_exit, move
 from fenicsmpm.solvers import EffectiveProjection, NewtonError, NewtonResult, NewtonSolver
+from fenicsmpm.solvers.checks import check_updates, require_fields, warn_of_points_that_stay
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
@@ -70,8 +71,9 @@ class ImplicitMPM:
             step's increment (1 but for ``GeneralizedAlpha``); ``data`` sets those that move.
         updates: for each body, more fields to be updated at the end of a step: UFL over its points,
             or functions that return new arrays.
-        data: called with the times at the beginning of a step and at which its equations hold, to
-            set loads, and boundary values of U by the motion between these times.
+        data: called with the times at the beginning and end of the motion U, to set boundary values
+            by it, and loads: those of its end, where equations hold, or of its middle for
+            ``Midpoint``.
         taylor: continue velocities linearly from points to nodes when they are mapped, see
             ``mapping.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
@@ -80,7 +82,8 @@ class ImplicitMPM:
 
     Raises:
         ValueError: for a scheme of another unknown, no bodies, bodies without their fields,
-            updates of points or fields that are not there, or another ``on_exit``.
+            updates of points or fields that are not there, missing updates of fields on which a
+            stress depends, tied nodes of another body or several, or another ``on_exit``.
 
     Attributes:
         time: [s].
@@ -120,16 +123,18 @@ class ImplicitMPM:
         shapes = dict(zip(_PARTS, (part.ufl_shape for part in parts(U)), strict=False))
         self._parts = subspaces(U.function_space)
         self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
+        tying = self.newton.tying
+        if tying is not None and self.bodies != [tying.body]:
+            raise ValueError("nodes are tied by the cells that one body fills: give just this body")
         self._projection = None
         if scheme.lumping < 1:
             if taylor:
                 raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
-            space, tying = self._parts[0][0], self.newton.tying
             self._projection = EffectiveProjection(
-                self.bodies, space, scheme.lumping, tying, self.newton.bcs
+                self.bodies, self._parts[0][0], scheme.lumping, tying, self.newton.bcs
             )
         for body in self.bodies:
-            _require_fields(body)
+            require_fields(body)
             for name, shape in shapes.items():
                 if name not in body:
                     body.add_field(name, shape)
@@ -139,21 +144,15 @@ class ImplicitMPM:
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", shapes["u"])
+        moving = [*self.bodies, *self.carried]
         self._volumes = [
             PointExpression(Kinematics(parts(U)[0], body).j, body) for body in self.bodies
         ]
-        self._warn_of_points_that_stay()
-        for points, fields in (updates or {}).items():
-            unknown = sorted(name for name in fields if name not in points)
-            if points not in (*self.bodies, *self.carried) or unknown:
-                raise ValueError(
-                    f"updates of the fields {unknown} that the points do not have"
-                    if unknown
-                    else "updates of points that are neither bodies nor carried: they do not move"
-                )
+        warn_of_points_that_stay(self.newton.R, moving)
+        check_updates(self.newton.R, self.bodies, moving, updates or {})
         self._updates = {
             points: FieldUpdates(points, self._new_fields(points, updates or {}))
-            for points in (*self.bodies, *self.carried)
+            for points in moving
         }
 
     # --- stages ------------------------------------------------------------------------------
@@ -231,6 +230,7 @@ class ImplicitMPM:
 
         Raises:
             NewtonError: the equations could not be solved.
+            LinearSolverError: velocities could not be mapped with the consistent mass.
             PointsOutsideError: points left the mesh.
         """
         dt = self.next_dt if dt is None else dt
@@ -312,15 +312,6 @@ class ImplicitMPM:
             self.next_dt = min(2 * self.next_dt, self._dt)
             yield step
 
-    def _warn_of_points_that_stay(self) -> None:
-        moving = (*self.bodies, *self.carried)
-        for integral in self.newton.R.point_integrals:
-            if integral.points not in moving:
-                logger.warning(
-                    "%d points of an integral are neither bodies nor carried: they stay where they "
-                    "are", integral.points.size_global,
-                )  # fmt: skip
-
     @property
     def method(self) -> str:
         """Name of the time scheme, for checkpoints."""
@@ -329,13 +320,14 @@ class ImplicitMPM:
     @property
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points, for checkpoints."""
-        dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt}
+        dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt, "longest": self._dt}
         return {**dt, **self.scheme.memory}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         rest = dict(values)
         self.scheme.dt.value, self.next_dt = rest.pop("dt"), rest.pop("next_dt")
+        self._dt = rest.pop("longest", self._dt)  # files of earlier versions do not have it
         self.scheme.memory = rest
 
     def _snapshot(self) -> Any:
@@ -390,14 +382,4 @@ class ImplicitMPM:
         return (
             f"ImplicitMPM: {n} unknowns on the background mesh, {bodies}, {carried} carried "
             f"points\n  {self.scheme}\n  step {self.number}, t = {self.time:g} s"
-        )
-
-
-def _require_fields(body: MaterialPoints) -> None:
-    needed = ("mass", "V_0", "F", "J", "u", "v", "grad_v")
-    missing = [name for name in needed if name not in body]
-    if missing:
-        raise ValueError(
-            f"a body without the fields {', '.join(missing)} cannot move: call "
-            "set_initial_state(points, density) before its formulation is written down"
         )

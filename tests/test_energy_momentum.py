@@ -22,6 +22,7 @@ from fenicsmpm import (
 )
 from fenicsmpm.audit import AuditedMPM
 from fenicsmpm.formulations import EnergyMomentum, Midpoint, Newmark, Response, stress_power
+from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import Hencky, Law, NewtonianFluid, VonMises, compiled
 from fenicsmpm.solvers import CourantStep, EffectiveProjection, LinearSolverError
 
@@ -188,6 +189,27 @@ def test_algorithmic_stress_without_change_of_metric(material):
         assert np.abs(slope - slopes[0]).max() < 2e-3 * np.abs(slopes[0]).max()
 
 
+@pytest.mark.parametrize("material", ["Hencky", "plastic"])
+def test_power_is_the_energy_gained(material):
+    """S : Delta C / 2 for changes of any size, those that yield as well."""
+    body = block()
+    body["F"] = body["F"] + 0.05 * np.random.default_rng(2).standard_normal((len(body), 3, 3))
+    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    stress = EnergyMomentum(MATERIALS[material], body, U)
+    change = stress.F.T * stress.F - ufl.dot(body.field("F").T, body.field("F"))
+    power = forms.PointExpression(ufl.inner(stress.algorithmic_stress, change) / 2, body)
+    work, C = forms.PointExpression(stress.work, body), forms.PointExpression(change, body)
+    direction = np.random.default_rng(3).standard_normal(len(U.x.array))
+    for size in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7):
+        U.x.array[:] = 0.3 * size * direction
+        gained = work.evaluate() - body["work"]
+        norm = np.linalg.norm(C.evaluate(), axis=(1, 2))
+        allowed = E * np.minimum(1e-18, 1e-24 / norm) + 4e-16 * np.abs(body["work"]).max() + 1e-17
+        # the change of C itself is known to round-off only
+        allowed = allowed + 1e-15 * np.abs(body["S"]).max()
+        assert np.all(np.abs(power.evaluate() - gained) < allowed)
+
+
 def test_same_stress_in_ufl_and_at_points():
     """The law at points, linearized in a form, has the stress and energy of the law itself."""
     body = block()
@@ -285,6 +307,14 @@ def test_courant_step_of_full_cells():
     assert step.history == pytest.approx([5.0 * 0.25 / wave, 5.0 * 0.25 / wave / np.sqrt(2)])
     assert CourantStep({body: law}, 5.0, smallest=1.0)() == 1.0
     assert CourantStep({body: law.wave_speed_modulus}, 5.0, largest=1e-3)() == 1e-3
+    for modulus in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="P-wave modulus must be positive"):
+            CourantStep({body: modulus}, 5.0)
+    with pytest.raises(ValueError, match="needs a body"):
+        CourantStep({}, 5.0)
+    body["mass"] = 0.0
+    with pytest.raises(ValueError, match="without mass"):
+        step()
     for bad in ({"factor": 0.0}, {"factor": 1.0, "smallest": 2.0, "largest": 1.0}):
         with pytest.raises(ValueError, match="factor of Courant's step must be positive"):
             CourantStep({body: law}, **bad)
@@ -333,6 +363,46 @@ def test_laws_that_forms_cannot_use():
         Response(NewtonianFluid(1e3, 1.0), body, F)
 
 
+@pytest.mark.parametrize("material", ["Hencky", "plastic", "UFL"])
+def test_fields_that_nothing_renews(material):
+    body = block()
+    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    V = ufl.TestFunction(U.function_space)
+    time = Midpoint(U, dt=0.1)
+    R = EnergyMomentum(MATERIALS[material], body, U).power(V)
+    R -= ufl.inner(time.force(body), V) * body.dx
+    with pytest.raises(ValueError, match=r"pass updates=\{body: stress.updates\}"):
+        ImplicitMPM(R, U, time, body)
+
+
+def test_tied_nodes_of_several_bodies():
+    body = block()
+    other = body.copy()
+    space = fem.functionspace(body.mesh, ("Lagrange", 1, (2,)))
+    U, V = fem.Function(space), ufl.TestFunction(space)
+    time = Midpoint(U, dt=0.1)
+    R = sum(ufl.inner(time.force(b), V) * b.dx for b in (body, other))
+    newton = {"tying": Tying(space, body, ActiveCells(body))}
+    with pytest.raises(ValueError, match="the cells that one body fills"):
+        ImplicitMPM(R, U, time, [body, other], newton=newton)
+
+
+def test_state_and_parameters_that_change():
+    """A response is computed anew for them, not only for another deformation."""
+    body = block()
+    body["F"] = body["F"] * 1.02
+    body["F"][:, 0, 1] = 0.3
+    law = VonMises(E, NU, sigma_y=4.0, H=5.0)
+    P = forms.PointExpression(Response(law, body, body.field("F")).P, body)
+    first = P.evaluate()
+    body["eps_p"] = 0.5
+    hardened = P.evaluate()
+    assert np.abs(hardened - first).min(axis=0).max() > 0.1
+    law.parameters[2] += 5.0 * 0.5
+    body["eps_p"] = 0.0
+    assert P.evaluate() == pytest.approx(hardened, abs=1e-12 * E)
+
+
 def test_shares_beyond_their_range():
     space = fem.functionspace(block().mesh, ("Lagrange", 1, (2,)))
     U = fem.Function(space)
@@ -350,10 +420,11 @@ def test_linear_continuation_needs_the_lumped_mass():
         ImplicitMPM(ufl.inner(time.force(body), V) * body.dx, U, time, body, taylor=True)
 
 
-def test_singular_mass_leaves_the_state():
+@pytest.mark.parametrize("mass", [np.nan, 0.0])
+def test_singular_mass_leaves_the_state(mass):
     body = block()
     sim = simulation(body, MATERIALS["Hencky"])
-    body["mass"][0] = np.nan
+    body["mass"] = np.where(body.x[:, 0] < 2, mass, body["mass"])
     before = body.snapshot()
     with pytest.raises(LinearSolverError, match="the mass of the points is singular or not finite"):
         sim.step()

@@ -42,9 +42,9 @@ class EnergyMomentum(Response):
 
     so that S : Delta C / 2 is exactly the free energy gained and the work dissipated in the step.
 
-    For Delta C -> 0 the second term vanishes like |Delta C|^2, but its quotient is 0 / 0.
-    |Delta C|^2 + 1e-12 stands for the denominator: smooth, and the energy of a step is then wrong
-    by less than 1e-18 of the modulus, far below round-off of the energies themselves.
+    For Delta C -> 0 the second term vanishes, but its quotient is 0 / 0. Instead of c = |Delta C|^2
+    the denominator is c + e^4 / (c + e^2) with e = 1e-6: smooth, and the energy of a step is then
+    wrong by less than e^3 of the modulus, and by less than e^4 / |Delta C| for larger steps.
 
     The body carries the stress "S" [Pa] and the "work" psi + D [J/m^3] of the end of the last step;
     they are added here, for its present fields "F" and state.
@@ -72,10 +72,12 @@ class EnergyMomentum(Response):
         for name, value in {"S": before.S, "work": before.work}.items():
             points.add_field(name, value.ufl_shape, evaluate(value, points))
         S, S_n = self.S, points.field("S")
+        S_n.history = ("S", "work")
         mean = (S + S_n) / 2
         change = self.F.T * self.F - F_n.T * F_n
         missing = 2 * (self.work - points.field("work")) - ufl.inner(mean, change)
-        size = ufl.inner(change, change) + _SMALL**2
+        size = ufl.inner(change, change)
+        size += _SMALL**4 / (size + _SMALL**2)
         self.algorithmic_stress = mean + missing / size * change
         self.updates = {**self.updates, "S": S, "work": self.work}
 

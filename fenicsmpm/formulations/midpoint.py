@@ -20,7 +20,8 @@ class Midpoint(TimeScheme):
 
     Velocities are mapped to the grid with the effective mass (1 - epsilon) M + epsilon M_lumped
     (equations 18 and 26), the same as that of inertia. With the consistent mass and FLIP, mapping
-    keeps momenta and the energy that the grid gains (tables 1 and 2).
+    keeps momenta and the energy that the grid gains (tables 1 and 2). Loads that depend on time are
+    to be taken in the middle of a step.
 
     Args:
         U: unknown, whose first part is the displacement increment u [m].

@@ -71,7 +71,7 @@ class Response:
 
 
 class _Computed:
-    """What a law returns at all points, computed when F has changed."""
+    """What a law returns at all points, computed when F, state or parameters have changed."""
 
     def __init__(self, law: Law, points: MaterialPoints, F: Any) -> None:
         missing = [name for name in ("energy", "tangent") if getattr(law, name) is None]
@@ -84,12 +84,14 @@ class _Computed:
         self._F = PointExpression(F, points)
         self._version: Any = None
         self._values: dict[str, Array] = {}
-        self._state = law.initial_state(0)
+        self._old = self._state = law.initial_state(0)
         self._has_dissipation = "dissipation" in law.columns
 
     def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
         """One of the results as a coefficient: "F_0", "P_0", "dPdF" or "work_0"."""
-        return ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
+        result = ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
+        result.history = tuple(self._law.columns)
+        return result
 
     def new_field(self, name: str) -> Callable[[], Array]:
         """Function that returns a field of the state after the step."""
@@ -101,13 +103,17 @@ class _Computed:
         return read
 
     def update(self) -> None:
-        """Call the law, unless it was called for the same deformation of the same points."""
+        """Call the law, unless it was called for the same deformation and state."""
         law, points = self._law, self._points
-        F = self._F.evaluate()
-        if self._version == points.version and np.array_equal(F, self._values["F_0"]):
+        F, old = self._F.evaluate(), state_of(law, points)
+        known = (points.version, law.parameters.tobytes())
+        if (
+            self._version == known
+            and np.array_equal(F, self._values["F_0"])
+            and np.array_equal(old, self._old)
+        ):
             return
         n = len(points)
-        old = state_of(law, points)
         new = old.copy()
         P, tangent, work = np.empty((n, 3, 3)), np.empty((n, 3, 3, 3, 3)), np.empty(n)
         _evaluate(
@@ -115,7 +121,7 @@ class _Computed:
         )
         if self._has_dissipation:
             work += law.state_field(new, "dissipation")
-        self._state, self._version = new, points.version
+        self._old, self._state, self._version = old, new, known
         self._values = {"F_0": F, "P_0": P, "dPdF": tangent, "work_0": work}
 
 

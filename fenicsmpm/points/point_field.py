@@ -42,6 +42,8 @@ class PointField(ufl.Coefficient):
         super().__init__(ufl.FunctionSpace(mesh, element))
         self.points = points
         self.name = name
+        # fields of the points that must get new values at the end of each step, if this is used
+        self.history: tuple[str, ...] = ()
 
     @property
     def values(self) -> npt.NDArray[np.float64]:

@@ -10,10 +10,10 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem
-from scipy.spatial.distance import pdist
 
 from fenicsmpm.mapping import p2g
 from fenicsmpm.materials import Law
+from fenicsmpm.materials.law import positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.geometry import cell_geometry
 
@@ -36,7 +36,8 @@ class CourantStep:
         history: lengths returned so far [s].
 
     Raises:
-        ValueError: for a factor that is not positive, or bounds that exclude each other.
+        ValueError: for no bodies, a factor or moduli that are not positive, or bounds that exclude
+            each other; when called, if there are no points with a mass.
     """
 
     def __init__(
@@ -53,16 +54,19 @@ class CourantStep:
                 "the factor of Courant's step must be positive and its bounds in order: "
                 f"{factor}, from {smallest} to {largest} s"
             )
-        self._moduli = {
-            body: float(law.wave_speed_modulus if isinstance(law, Law) else law)
-            for body, law in laws.items()
-        }
+        if not laws:
+            raise ValueError("Courant's step needs a body and its law")
+        self._moduli = {}
+        for body, law in laws.items():
+            modulus = float(law.wave_speed_modulus if isinstance(law, Law) else law)
+            self._moduli[body] = positive(modulus, "M", "P-wave modulus", "Pa")
         self.factor, self.smallest, self.largest = factor, smallest, largest
         self.history: list[float] = []
         mesh = next(iter(laws)).mesh
         corners = cell_geometry(mesh).corners
-        shapes = np.unique(np.round(corners - corners[:, :1], 12), axis=0)
-        shortest = min((float(pdist(cell).min()) for cell in shapes), default=math.inf)
+        n = corners.shape[1]
+        pairs = [corners[:, i] - corners[:, j] for i in range(n) for j in range(i)]
+        shortest = min(float(np.linalg.norm(edge, axis=1).min(initial=math.inf)) for edge in pairs)
         self._h = mesh.comm.allreduce(shortest, MPI.MIN)
         self._space = fem.functionspace(mesh, ("Lagrange", 1))
 
@@ -76,7 +80,10 @@ class CourantStep:
             sums = nodes if len(sums) == 0 else sums + nodes
         mass, stiffness = sums[sums[:, 1] > 0].T
         slowness = float(np.sqrt(np.min(mass / stiffness, initial=np.inf)))
-        dt = self.factor * self._h * self._space.mesh.comm.allreduce(slowness, MPI.MIN)
+        slowness = self._space.mesh.comm.allreduce(slowness, MPI.MIN)
+        if not 0 < slowness < math.inf:
+            raise ValueError(f"Courant's step of points without mass, or none: {slowness:g} s/m")
+        dt = self.factor * self._h * slowness
         dt = min(max(dt, self.smallest), self.largest)
         self.history.append(dt)
         return dt

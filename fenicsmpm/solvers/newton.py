@@ -103,6 +103,8 @@ class NewtonSolver:
         petsc_options: dict[str, Any] | None = None,
     ) -> None:
         """Compile the forms (collective)."""
+        if not 0 <= keep_tangent < 1:
+            raise ValueError(f"a tangent is kept for reductions in [0, 1): {keep_tangent}")
         self.R = forms.form(R)
         self.J = forms.form(ufl.derivative(R, U) if J is None else J)
         self.U = U

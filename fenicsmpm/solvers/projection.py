@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import forms
+from fenicsmpm.formulations import density
 from fenicsmpm.mapping import Tying, p2g
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
@@ -70,11 +71,7 @@ class EffectiveProjection:
         self.point_sets, self.space, self.lumping = list(point_sets), space, lumping
         self._tying, self._bcs = tying, list(bcs)
         v, w = ufl.TrialFunction(space), ufl.TestFunction(space)
-        density = [points.field("mass") / points.field("weight") for points in point_sets]
-        consistent = sum(
-            rho * ufl.inner(v, w) * points.dx
-            for rho, points in zip(density, point_sets, strict=True)
-        )
+        consistent = sum(density(points) * ufl.inner(v, w) * points.dx for points in point_sets)
         self._form = forms.form(consistent)
         self._solver = LinearSolver(space.mesh.comm, _OPTIONS)
 
@@ -91,6 +88,7 @@ class EffectiveProjection:
             diagonal.array_w[:] += self.lumping * self._sums("mass")
             diagonal.array_w[forms.petsc.unreached_rows(A)] = 1.0
             A.setDiagonal(diagonal)
+            diagonal.destroy()
         return A
 
     def project(self, functions: Mapping[str, fem.Function]) -> None:
@@ -107,26 +105,31 @@ class EffectiveProjection:
         if self._tying is not None:
             self._tying.update(self._bcs, forms.petsc.unreached_rows(A))
         results = {}
-        for name in functions:
-            b.array_w[:] = self._sums(name)
-            if self._tying is None:
-                self._solve(A, b, x)
-            else:
-                self._tying.restrict(b)
-                self._solve(self._tying.reduce(A, b, constrained=False), b, x)
-                self._tying.extend(x)
-            results[name] = x.array_r.copy()
+        try:
+            for name in functions:
+                b.array_w[:] = self._sums(name)
+                if self._tying is None:
+                    self._solve(A, b, x)
+                else:
+                    self._tying.restrict(b)
+                    self._solve(self._tying.reduce(A, b, constrained=False), b, x)
+                    self._tying.extend(x)
+                results[name] = x.array_r.copy()
+        finally:
+            for item in (A, b, x):
+                item.destroy()
         for name, result in results.items():
             functions[name].x.array[: len(result)] = result
             functions[name].x.scatter_forward()
-        for item in (A, b, x):
-            item.destroy()
 
     def _solve(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         why = ""
+        diagonal = A.getDiagonal()
+        has_mass = diagonal.min()[1] > 0
+        diagonal.destroy()
         try:
             self._solver.solve(A, b, x)
-            if self._residual(A, b, x) <= _TOLERANCE:
+            if has_mass and self._residual(A, b, x) <= _TOLERANCE:
                 return
         except LinearSolverError as error:
             why = f"; {error}"
