@@ -266,7 +266,7 @@ def plot(path, case, histories):
     last.set_xlabel("t [s]")
     last.set_ylim(bottom=0.0)
     last.grid(alpha=0.3)
-    axes[-1].legend()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=160)
 
