@@ -14,7 +14,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm import _compat
-from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum
+from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, moment, momentum
 from fenicsmpm.implicit import ImplicitMPM, Step
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers import EffectiveProjection
@@ -148,9 +148,8 @@ class AuditedMPM(ImplicitMPM):
         p = product.array_r.reshape(-1, dim).copy()
         column.destroy()
         product.destroy()
-        turning = np.cross(x, p) if dim == 3 else x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]
         return Balance(
             comm.allreduce(p.sum(axis=0)),
-            comm.allreduce(turning.sum(axis=0)),
+            comm.allreduce(moment(x, p)),
             float(comm.allreduce(np.vdot(v, p) / 2)),
         )

@@ -35,11 +35,24 @@ def angular_momentum(body: MaterialPoints) -> float | npt.NDArray[np.float64]:
     Returns:
         [kg m^2/s], a number in the plane (per thickness), shape (3,) in space.
     """
-    x, v = body.x, body["v"]
+    return body.mesh.comm.allreduce(moment(body.x, body["mass"][:, None] * body["v"]))
+
+
+def moment(
+    x: npt.NDArray[np.float64], p: npt.NDArray[np.float64]
+) -> float | npt.NDArray[np.float64]:
+    """Sum of x cross p on this rank.
+
+    Args:
+        x: positions [m], shape (n, d).
+        p: vectors, such as momenta [kg m/s], shape (n, d).
+
+    Returns:
+        A number in the plane, shape (3,) in space.
+    """
     if x.shape[1] == 2:
-        turning = x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]
-        return float(body.mesh.comm.allreduce(body["mass"] @ turning))
-    return body.mesh.comm.allreduce(body["mass"] @ np.cross(x, v))
+        return float(np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]))
+    return np.cross(x, p).sum(axis=0)
 
 
 def kinetic_energy(body: MaterialPoints) -> float:
