@@ -221,11 +221,13 @@ def snapshot(body, law, time):
     mass = np.concatenate(body.mesh.comm.allgather(body["mass"] / body["V_0"]))
     if cloud is not None:
         cloud["strain energy"], cloud["kinetic energy"] = psi, mass * speed / 2
+        if "dissipation" in cloud.point_data:
+            cloud["dissipated energy"] = cloud["dissipation"]
     return time, cloud
 
 
-def draw(path, frames, unit="kJ", scale=1e3):
-    for field in ("strain", "kinetic"):
+def draw(path, frames, unit="kJ", scale=1e3, fields=("strain", "kinetic")):
+    for field in fields:
         panels = []
         for title, (time, cloud) in frames.items():
             if cloud is not None:

@@ -160,7 +160,8 @@ def show(cases, until, output):
         rows.append((case, momenta, length, table))
         save(output / f"{case.files()}.csv", table, {"case": case.label()})
         if frames and case.method == "energy-momentum":
-            draw(output / f"{case.files()}.png", frames, "J", 1.0)
+            fields = ("strain", "kinetic") + ("dissipated",) * case.plastic
+            draw(output / f"{case.files()}.png", frames, "J", 1.0, fields)
     columns = {"until [s]": ".4g", "momentum": ".1e", "angular": ".1e", "energy": ".1e"}
     columns |= {"at the end": "+.2%", "dissipated": ".1%", "Newton its": ".2f", "most": ".0f"}
     width = max(len(case.label()) for case, *_ in rows)

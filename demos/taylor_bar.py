@@ -23,7 +23,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from cantilever import METHODS, Energies, drift, equations, plot, save
+from cantilever import METHODS, Energies, draw, drift, equations, plot, save, snapshot
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, basis, formulations, io, points
@@ -35,6 +35,7 @@ RADIUS, LENGTH, WIDTH = 3.2e-3, 32.4e-3, 7.2e-3  # of the bar, and of the backgr
 BULK, SHEAR, DENSITY = 130e9, 43.3e9, 8930.0  # Pa, Pa, kg/m^3
 SIGMA_Y, H = 0.4e9, 0.1e9  # Pa
 SPEED, END = 227.0, 80e-6  # m/s, s
+FIELDS = ("strain", "kinetic", "dissipated")  # energies in pictures
 FINAL_LENGTH, FINAL_RADIUS = 21.45e-3, 7.1e-3  # m, from the literature
 
 
@@ -111,14 +112,17 @@ def run(case, until=END):
         f"{case.label()}: {bar.size_global} material points, steps of {case.dt:.3g} s, "
         f"{case.dt / estimate:.1f} times that of explicit dynamics"
     )
-    energies, shapes = Energies(sim, law), [(0.0, 0.0, 0.0)]
+    energies, shapes, frames = Energies(sim, law), [(0.0, 0.0, 0.0)], {}
     try:
         for step in io.watch(sim.run(until), until, case.label()):
             energies.record(step)
             shapes.append((sim.time, *shape(bar)))
+            if sim.time > until * ((len(frames) + 1) / 3 - 1e-9):
+                name = ("a third", "two thirds", "the end")[len(frames)]
+                frames[name] = snapshot(bar, law, sim.time)
     except NewtonError as error:
         io.say(f"  it ends at t = {sim.time:.4g} s: {error}")
-    return sim, energies, np.array(shapes)
+    return energies, np.array(shapes), frames
 
 
 # ## Results
@@ -128,14 +132,14 @@ def show(cases, until, output):
     tables, widened, shortened = {}, {}, {}
     rows = []
     for case in cases:
-        sim, energies, shapes = run(case, until)
+        energies, shapes, frames = run(case, until)
         table = energies.table()
         tables[case.label()] = table
         rows.append((case, table, shapes))
         shortened[f"{case.label()}: shortened"] = (shapes[:, 0] * 1e6, shapes[:, 1] * 1e3)
         widened[f"{case.label()}: widened"] = (shapes[:, 0] * 1e6, shapes[:, 2] * 1e3)
         save(output / f"taylor_bar_{case.method}.csv", table, {"case": case.label()})
-        draw(output / f"taylor_bar_{case.method}.png", sim)
+        draw(output / f"taylor_bar_{case.method}.png", frames, "MJ", 1e6, FIELDS)
     columns = {"method, cells": "s", "until [us]": ".4g", "length [mm]": ".2f", "of 21.45": "+.1%"}
     columns |= {"radius [mm]": ".2f", "of 7.1": "+.1%", "energy": ".1e", "dissipated": ".1%"}
     printed = io.Table(columns | {"Newton its": ".2f", "most": ".0f"})
@@ -159,12 +163,6 @@ def show(cases, until, output):
     )
     io.say(f"pictures taylor_bar_*.png and .csv files are in {output}")
     return rows
-
-
-def draw(path, sim):
-    cloud = io.gather_points(sim.bodies[0])
-    title = f"t = {sim.time * 1e6:.1f} us"
-    io.picture(path, [io.Panel(cloud, "eps_p", title)], "accumulated plastic strain")
 
 
 # ## Command line

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,11 @@ def bc_dofs(bc: fem.DirichletBC) -> npt.NDArray[np.int32]:
     """
     cpp = getattr(bc, "_cpp_object", bc)
     return cpp.dof_indices()[0]
+
+
+def fixed_dofs(bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.int32]:
+    """Those of all conditions, sorted, each once."""
+    return np.unique(np.concatenate([np.empty(0, np.int32), *map(bc_dofs, bcs)]))
 
 
 def bc_set(

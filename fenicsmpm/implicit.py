@@ -20,7 +20,7 @@ from fenicsmpm import _compat
 from fenicsmpm.forms import FieldUpdates, PointExpression
 from fenicsmpm.formulations import Kinematics, parts, subspaces
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
-from fenicsmpm.mapping import project
+from fenicsmpm.mapping import Tying, project
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import check_on_exit, move
 from fenicsmpm.solvers import EffectiveProjection, NewtonError, NewtonResult, NewtonSolver
@@ -130,9 +130,11 @@ class ImplicitMPM:
         if scheme.lumping < 1:
             if taylor:
                 raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
-            self._projection = EffectiveProjection(
-                self.bodies, self._parts[0][0], scheme.lumping, tying, self.newton.bcs
-            )
+            space, dofs = self._parts[0]
+            if tying is not None and tying.space is not space:
+                tying = Tying(space, tying.body, tying.cells, tying.threshold)
+            fixed = np.flatnonzero(np.isin(dofs, _compat.fixed_dofs(self.newton.bcs)))
+            self._projection = EffectiveProjection(self.bodies, space, scheme.lumping, tying, fixed)
         for body in self.bodies:
             require_fields(body)
             for name, shape in shapes.items():

@@ -22,9 +22,10 @@ from fenicsmpm import (
 )
 from fenicsmpm.audit import AuditedMPM
 from fenicsmpm.formulations import EnergyMomentum, Midpoint, Newmark, Response, stress_power
+from fenicsmpm.io import checkpoint
 from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import Hencky, Law, NewtonianFluid, VonMises, compiled
-from fenicsmpm.solvers import CourantStep, EffectiveProjection, LinearSolverError
+from fenicsmpm.solvers import CourantStep, EffectiveProjection, LinearSolverError, NewtonError
 
 E, NU, DENSITY = 100.0, 0.3, 2.0
 
@@ -129,6 +130,45 @@ def test_energy_and_momenta_are_conserved(dim, functions, material):
         assert body["eps_p"].max() > 0.01
 
 
+def test_a_failed_step_leaves_no_plastic_strain():
+    """Steps that are halved end as if they had been short from the start."""
+    ends = []
+    for fails in (True, False):
+        body = block()
+        sim = simulation(body, MATERIALS["plastic"], dt=0.1 if fails else 0.05)
+        solve = sim.solve
+        if fails:
+
+            def solve_and_fail(solve=solve, sim=sim):
+                result = solve()
+                assert sim.map_to_points()[sim.bodies[0]]["eps_p"].max() > 0
+                if float(sim.scheme.dt.value) > 0.06:
+                    raise NewtonError("diverged", "as asked for", [])
+                return result
+
+            sim.solve = solve_and_fail
+        assert [step.dt for step in sim.run(0.1)] == pytest.approx([0.05, 0.05])
+        ends.append(body.snapshot())
+    assert ends[0]["eps_p"].max() > 0.01
+    for name, array in ends[0].items():
+        assert array == pytest.approx(ends[1][name], rel=1e-12, abs=1e-12), name
+
+
+def test_plastic_body_goes_on_from_a_checkpoint(tmp_path):
+    sim = simulation(block(), MATERIALS["plastic"])
+    for _ in range(3):
+        sim.step()
+    checkpoint.save(tmp_path / "three.h5", sim)
+    again = simulation(block(), MATERIALS["plastic"])
+    checkpoint.restore(tmp_path / "three.h5", again)
+    assert again.bodies[0]["eps_p"].max() > 0.01
+    for _ in range(2):
+        sim.step()
+        again.step()
+    for name, array in sim.bodies[0].snapshot().items():
+        assert np.array_equal(again.bodies[0][name], array), name
+
+
 @pytest.mark.parametrize(
     ("scheme", "options", "least"),
     [(Newmark, {}, 0.05), (Midpoint, {"flip": 0.0}, 1e-3), (Midpoint, {"lumping": 1.0}, 0.02)],
@@ -155,6 +195,9 @@ def test_tangent_is_the_derivative(material):
     R, J, U = sim.newton.R, sim.newton.J, sim.U
     x = U.x.array
     x[:] = 0.05 * sim.scheme.histories["v"].x.array  # away from the corner of the yield surface
+    if material in ("plastic", "softening"):
+        yielding = sim.map_to_points()[body]["eps_p"] > body["eps_p"] + 1e-4
+        assert 0.1 < yielding.mean() < 1
     direction = np.random.default_rng(1).standard_normal(len(x))
     direction[forms.inactive_dofs(J)] = 0
     start = x.copy()
@@ -283,6 +326,25 @@ def test_audit_agrees_with_the_tables(flip, lumping):
     assert "map to the points" in str(audit)
 
 
+@pytest.mark.mpi
+def test_audit_in_space_and_on_several_ranks():
+    audits = []
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
+        body = block(3, comm=comm, per_cell=3)
+        before = diagnostics.angular_momentum(body)
+        sim = simulation(body, MATERIALS["Hencky"], kind=AuditedMPM)
+        sim.step()
+        audits.append(sim.audit)
+        whole = sim.audit.changes["whole step"]
+        turned = diagnostics.angular_momentum(body) - before
+        assert whole.angular_momentum == pytest.approx(turned, abs=1e-12)
+        assert whole.angular_momentum == pytest.approx(np.zeros(3), abs=1e-11)
+    for stage, change in audits[0].changes.items():
+        other = audits[1].changes[stage]
+        for name in ("momentum", "angular_momentum", "kinetic_energy"):
+            assert getattr(other, name) == pytest.approx(getattr(change, name), abs=1e-9), stage
+
+
 def shape_functions(body, nodes):
     """Bilinear functions of unit cells at the points, ``(n_points, n_nodes)``."""
     distance = np.abs(body.x[:, None] - nodes[None])
@@ -318,6 +380,19 @@ def test_courant_step_of_full_cells():
     for bad in ({"factor": 0.0}, {"factor": 1.0, "smallest": 2.0, "largest": 1.0}):
         with pytest.raises(ValueError, match="factor of Courant's step must be positive"):
             CourantStep({body: law}, **bad)
+
+
+def test_courant_step_of_two_bodies_in_a_cell():
+    """Moduli count by volume: three points of one in a cell, and one of the other."""
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1, mesh.CellType.quadrilateral)
+    moduli = {}
+    for x, modulus in (([(0.2, 0.2), (0.2, 0.8), (0.8, 0.2)], 8.0), ([(0.8, 0.8)], 40.0)):
+        body = MaterialPoints(domain, x, 0.25)
+        formulations.set_initial_state(body, DENSITY)
+        moduli[body] = modulus
+    # the node next to the single point has N = 0.64 of it, 0.16 of two others, 0.04 of the third
+    stiffest = 0.64 * 40 + 0.36 * 8
+    assert CourantStep(moduli, 1.0)() == pytest.approx(np.sqrt(DENSITY / stiffest))
 
 
 def test_run_with_steps_of_variable_length():
@@ -361,6 +436,22 @@ def test_laws_that_forms_cannot_use():
         Response(Law(_nothing, np.zeros(1), 1.0, needs_rate=False), body, F)
     with pytest.raises(ValueError, match="no velocities"):
         Response(NewtonianFluid(1e3, 1.0), body, F)
+
+
+def test_what_energy_momentum_needs():
+    body = block()
+    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    plastic = MATERIALS["plastic"]
+    state = {"eps_p": ((), 0.0)}
+    law = Law(
+        _nothing, np.zeros(1), 1.0, state=state, needs_rate=False,
+        energy=plastic.energy, tangent=plastic.tangent,
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="needs a field 'dissipation'"):
+        EnergyMomentum(law, body, U)
+    EnergyMomentum(plastic, body, U)
+    with pytest.raises(ValueError, match="another EnergyMomentum"):
+        EnergyMomentum(plastic, body, U)
 
 
 @pytest.mark.parametrize("material", ["Hencky", "plastic", "UFL"])

@@ -21,6 +21,7 @@ from fenicsmpm.formulations.mixed import (
     subspaces,
     volumetric_residual,
 )
+from fenicsmpm.formulations.mixed_energy_momentum import MixedEnergyMomentum
 from fenicsmpm.formulations.newmark import Bossak, GeneralizedAlpha, Newmark
 from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
@@ -43,6 +44,7 @@ __all__ = [
     "GeneralizedAlpha",
     "Kinematics",
     "Midpoint",
+    "MixedEnergyMomentum",
     "Newmark",
     "Response",
     "TimeScheme",

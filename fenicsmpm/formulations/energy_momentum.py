@@ -61,10 +61,24 @@ class EnergyMomentum(Response):
         work: free energy and what was dissipated there, per initial volume [J/m^3].
         updates: new fields after a step, for ``ImplicitMPM``.
         algorithmic_stress: S from above [Pa], 3x3.
+
+    Raises:
+        ValueError: for a body that has such a stress already, laws that ``Response`` cannot use, or
+            with a state whose dissipation is not known.
     """
 
     def __init__(self, material: Law | Energy, points: MaterialPoints, U: fem.Function) -> None:
         """Write down the stress."""
+        if "S" in points:
+            raise ValueError(
+                "the body has the stress and work of another EnergyMomentum: there is one for all "
+                "forms of a body"
+            )
+        if isinstance(material, Law) and material.state and "dissipation" not in material.state:
+            raise ValueError(
+                f"energy cannot be kept by {material!r}: a law with a state needs a field "
+                f"'dissipation' [J/m^3] in it, among {', '.join(material.state)}"
+            )
         super().__init__(material, points, Kinematics(parts(U)[0], points).F)
         self._points = points
         F_n = points.field("F")
@@ -73,13 +87,18 @@ class EnergyMomentum(Response):
             points.add_field(name, value.ufl_shape, evaluate(value, points))
         S, S_n = self.S, points.field("S")
         S_n.history = ("S", "work")
-        mean = (S + S_n) / 2
+        self.algorithmic_stress = self._discrete_derivative(
+            self.work - points.field("work"), (S + S_n) / 2
+        )
+        self.updates = {**self.updates, "S": S, "work": self.work}
+
+    def _discrete_derivative(self, gain: Any, mean: Any) -> Any:
+        """Tensor nearest to a mean whose product with Delta C / 2 is the gain (equation 47)."""
+        F_n = self._points.field("F")
         change = self.F.T * self.F - F_n.T * F_n
-        missing = 2 * (self.work - points.field("work")) - ufl.inner(mean, change)
         size = ufl.inner(change, change)
         size += _SMALL**4 / (size + _SMALL**2)
-        self.algorithmic_stress = mean + missing / size * change
-        self.updates = {**self.updates, "S": S, "work": self.work}
+        return mean + (2 * gain - ufl.inner(mean, change)) / size * change
 
     def power(self, V: Any) -> ufl.Form:
         """Internal virtual work at the middle of the step (equation 39).

@@ -8,8 +8,6 @@ at the rim of the body. The system A x = b becomes T^T A T y = T^T b with x = T 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from petsc4py import PETSc
 
 import numba
@@ -84,11 +82,11 @@ class Tying:
         self.matrix = PETSc.Mat()
         self.update()
 
-    def update(self, bcs: Sequence[fem.DirichletBC] = (), inactive: npt.ArrayLike = ()) -> None:
+    def update(self, fixed: npt.ArrayLike = (), inactive: npt.ArrayLike = ()) -> None:
         """Make T anew for the points as they are now (collective).
 
         Args:
-            bcs: Dirichlet conditions; what they constrain is not tied.
+            fixed: local degrees of freedom of Dirichlet conditions, which are not tied.
             inactive: owned local degrees of freedom at which matrices have rows of the identity
                 only to be regular, such as those of cells with boundary points only.
 
@@ -96,7 +94,7 @@ class Tying:
             ValueError: on all ranks, if there are ill nodes but no well-filled cell.
         """
         owned = self._sizes[0]
-        fixed = np.unique(np.concatenate([np.empty(0, np.int32), *map(_compat.bc_dofs, bcs)]))
+        fixed = np.asarray(fixed, dtype=np.int32)
         self._fixed = self._global[fixed[fixed < owned]].astype(PETSc.IntType)
         dofs, columns, weights, bare = self._extrapolation(fixed)
         self._bare = self._global[bare].astype(PETSc.IntType)

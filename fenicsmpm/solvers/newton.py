@@ -157,7 +157,7 @@ class NewtonSolver:
     def _tie(self) -> None:
         """Find the nodes to be tied, and start from a function that obeys."""
         assert self.tying is not None
-        self.tying.update(self.bcs, forms.inactive_dofs(self.J))
+        self.tying.update(_compat.fixed_dofs(self.bcs), forms.inactive_dofs(self.J))
         owned = len(self._step.array_r)
         self._step.array_w[:] = self.U.x.array[:owned]
         self.tying.extend(self._step)

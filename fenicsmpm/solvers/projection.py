@@ -48,7 +48,7 @@ class EffectiveProjection:
         space: of the grid functions, blocked Lagrange.
         lumping: share epsilon of the lumped mass [-].
         tying: tied nodes of the space; None for none.
-        bcs: Dirichlet conditions on the space; what they constrain is not tied.
+        fixed: local degrees of freedom of Dirichlet conditions, which are not tied.
 
     Raises:
         ValueError: for tied nodes of another space.
@@ -60,16 +60,15 @@ class EffectiveProjection:
         space: fem.FunctionSpace,
         lumping: float,
         tying: Tying | None = None,
-        bcs: Sequence[fem.DirichletBC] = (),
+        fixed: npt.ArrayLike = (),
     ) -> None:
         """Compile the mass (collective)."""
         if tying is not None and tying.space is not space:
             raise ValueError(
-                "with the consistent mass, nodes can be tied in displacement formulations only, "
-                f"in their space, not in {tying.space}"
+                f"nodes are tied in the space of the grid functions, {space}, not in {tying.space}"
             )
         self.point_sets, self.space, self.lumping = list(point_sets), space, lumping
-        self._tying, self._bcs = tying, list(bcs)
+        self._tying, self._fixed = tying, fixed
         v, w = ufl.TrialFunction(space), ufl.TestFunction(space)
         consistent = sum(density(points) * ufl.inner(v, w) * points.dx for points in point_sets)
         self._form = forms.form(consistent)
@@ -103,7 +102,7 @@ class EffectiveProjection:
         A = self.mass()
         b, x = A.createVecs()
         if self._tying is not None:
-            self._tying.update(self._bcs, forms.petsc.unreached_rows(A))
+            self._tying.update(self._fixed, forms.petsc.unreached_rows(A))
         results = {}
         try:
             for name in functions:

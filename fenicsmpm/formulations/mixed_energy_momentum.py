@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""Energy and momenta kept by the mixed formulation of displacement and pressure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from fenicsmpm.formulations.energy_momentum import EnergyMomentum
+from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import MaterialPoints
+
+
+class MixedEnergyMomentum(EnergyMomentum):
+    """Energy-momentum stress of a nearly or fully incompressible body, pressures as unknowns.
+
+    The pressure of a step p acts on the change of volume, and does exactly the work p Delta J:
+
+        S = S_iso + p Z,  Z : Delta C / 2 = Delta J
+        (Delta J - Delta theta, q) - alpha / mu (Delta r, q - q_K) = 0  per initial volume
+
+    with S_iso and Z discrete derivatives of the isochoric energy and of J, and two strains and
+    pressures that points carry: the volumetric strain theta of energy kappa theta^2 / 2, and the
+    part r of the pressure that varies in a cell, which stabilizes (Dohrmann and Bochev) and has the
+    energy alpha r^2 / (2 mu). Both follow from p being their mean over the step,
+    p = kappa (theta_n + theta_{n+1}) / 2 and p - p_K = (r_n + r_{n+1}) / 2. With the mid-point
+    rule, the consistent mass and FLIP, kinetic energy and all three of these together are constant.
+
+    Nodes that few points see are to be tied (``mapping.Tying``), as the pressure is ill there.
+
+    Volume is kept step by step, not since the start: J = 1 would have to correct what the last
+    cells left, and corrections do work.
+
+    Args:
+        law: neo-Hookean law with volumetric="quadratic", the one of which p and J are conjugate.
+        points: the body, with the fields of ``set_initial_state``.
+        U: unknown of a mixed space: displacement increment [m] and pressure of the step [Pa].
+        alpha: factor of the stabilization [-].
+
+    Attributes:
+        updates: new fields after a step, for ``ImplicitMPM``.
+
+    Raises:
+        ValueError: for spaces without pressure, other volumetric laws, a negative alpha.
+    """
+
+    def __init__(
+        self, law: NeoHookean, points: MaterialPoints, U: fem.Function, *, alpha: float = 1.0
+    ) -> None:
+        """Write down stress and strains."""
+        p = parts(U, 2)[1]
+        if law.volumetric != "quadratic":
+            raise ValueError(
+                f"energy is kept with volumetric='quadratic' only, as pressures are conjugate to J "
+                f"there: {law!r}"
+            )
+        if not 0 <= alpha < float("inf"):
+            raise ValueError(f"alpha must be finite and not negative: {alpha}")
+        super().__init__(lambda F: law.energy(F, ufl.det(F)), points, U)
+        self._law, self._alpha = law, alpha
+        F, F_n = self.F, points.field("F")
+        J, J_n = ufl.det(F), ufl.det(F_n)
+        mean = (J * ufl.inv(F.T * F) + J_n * ufl.inv(F_n.T * F_n)) / 2
+        self.algorithmic_stress += p * self._discrete_derivative(J - J_n, mean)
+        points.add_field("theta", (), 0.0)
+        if law.inverse_kappa > 0:
+            points["theta"] = np.linalg.det(points["F"]) - 1
+        points.add_field("r", (), 0.0)
+        theta, r = points.field("theta"), points.field("r")
+        r.history = theta.history = ("theta", "r")
+        self.updates = {
+            **self.updates,
+            "p": p,
+            "theta": 2 * law.inverse_kappa * p - theta,
+            "r": 2 * (p - ufl.cell_avg(p)) - r,
+        }
+
+    def power(self, V: Any) -> ufl.Form:
+        """Internal virtual work, and the constraint of the volume in weak form.
+
+        Args:
+            V: test function of the unknown's space.
+
+        Returns:
+            UFL form of rank 1 over the points.
+        """
+        q = parts(V, 2)[1]
+        points, F_n = self._points, self._points.field("F")
+        gain = {name: self.updates[name] - points.field(name) for name in ("theta", "r")}
+        constraint = (ufl.det(self.F) - ufl.det(F_n) - gain["theta"]) * q
+        constraint -= self._alpha / self._law.mu * gain["r"] * (q - ufl.cell_avg(q))
+        return super().power(V) + constraint / ufl.det(F_n) * points.dx
+
+    def volumetric_energy(self) -> float:
+        """Energy of volumetric strain and stabilization [J] (collective)."""
+        points, law = self._points, self._law
+        psi = self._alpha / (2 * law.mu) * points["r"] ** 2
+        if law.inverse_kappa > 0:
+            psi += law.kappa / 2 * points["theta"] ** 2
+        return float(points.mesh.comm.allreduce(float(points["V_0"] @ psi)))
