@@ -53,7 +53,7 @@ def bc_dofs(bc: fem.DirichletBC) -> npt.NDArray[np.int32]:
 
 
 def fixed_dofs(bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.int32]:
-    """Those of all conditions, sorted, each once."""
+    """Local degrees of freedom that any of the conditions constrains, sorted, each once."""
     return np.unique(np.concatenate([np.empty(0, np.int32), *map(bc_dofs, bcs)]))
 
 

@@ -343,9 +343,19 @@ def test_cylinder_collision():
 def test_taylor_bar():
     """The first tenth, on a coarse mesh."""
     taylor = import_module("taylor_bar")
-    _, energies, shapes = taylor.run(taylor.Case(cells=25, dt=7.5e-7), 7.5e-6)
+    energies, shapes, frames = taylor.run(taylor.Case(cells=25, dt=7.5e-7), 7.5e-6)
+    assert list(frames) == ["a third", "two thirds", "the end"]
     table = energies.table()
     assert taylor.drift(table, 0.0) < 1e-8
     assert table[-1, 3] > 0.1 * table[0, 4]
     assert np.all(np.diff(shapes[:, 1:], axis=0) >= 0)
     assert shapes[-1, 1] == pytest.approx(taylor.SPEED * 7.5e-6, rel=0.01)
+
+
+def test_tumbling_block():
+    block = import_module("tumbling_block")
+    rows, _ = block.run("energy-momentum", 0.2)
+    total = rows[:, 1:4].sum(axis=1)
+    assert np.abs(total / total[0] - 1).max() < 1e-12
+    assert np.abs(rows[:, 4] / rows[0, 4] - 1).max() < 1e-12
+    assert rows[-1, 2] > 0.005  # J of strain energy

@@ -31,7 +31,7 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 logger = logging.getLogger(__name__)
 
 # Steps after which cells are found and points sorted: more would cost time, as would fewer
-STEPS_OF_A_BLOCK = 200
+STEPS_OF_A_BLOCK = 100
 
 
 class UnstableError(RuntimeError):
@@ -73,7 +73,7 @@ class ExplicitMPM:
         loads: points that carry forces in a field "force" (d,) [N] and move with the grid.
         rigid: boxes that bodies cannot enter.
         data: called with the time at the beginning of each step, to set loads and boundary values;
-            positions of points are those of when ``run`` yielded last or up to 200 steps before.
+            positions of points are those of when ``run`` yielded last or up to 100 steps before.
 
     Attributes:
         time: [s].

@@ -36,7 +36,7 @@ class MixedEnergyMomentum(EnergyMomentum):
     cells left, and corrections do work.
 
     Args:
-        law: neo-Hookean law with volumetric="quadratic", the one of which p and J are conjugate.
+        law: neo-Hookean law with volumetric="quadratic", whose p is linear in J.
         points: the body, with the fields of ``set_initial_state``.
         U: unknown of a mixed space: displacement increment [m] and pressure of the step [Pa].
         alpha: factor of the stabilization [-].
@@ -55,7 +55,7 @@ class MixedEnergyMomentum(EnergyMomentum):
         p = parts(U, 2)[1]
         if law.volumetric != "quadratic":
             raise ValueError(
-                f"energy is kept with volumetric='quadratic' only, as pressures are conjugate to J "
+                f"energy is kept with volumetric='quadratic' only, as pressures are linear in J "
                 f"there: {law!r}"
             )
         if not 0 <= alpha < float("inf"):
@@ -74,7 +74,6 @@ class MixedEnergyMomentum(EnergyMomentum):
         r.history = theta.history = ("theta", "r")
         self.updates = {
             **self.updates,
-            "p": p,
             "theta": 2 * law.inverse_kappa * p - theta,
             "r": 2 * (p - ufl.cell_avg(p)) - r,
         }
