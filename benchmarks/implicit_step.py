@@ -16,7 +16,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
 import bending_beam
 
-STAGES = ("map", "matrix pattern", "assembly", "linear solver", "convect")
+STAGES = ("map", "predict", "matrix pattern", "assembly", "linear solver", "convect")
 
 
 def bytes_per_point(points):
@@ -55,6 +55,7 @@ def main():
     print(f"{'stage':<34}{'s a step':>10}{'share':>9}")
     titles = {
         "map": "map to the grid and back",
+        "predict": "predict, check volumes",
         "matrix pattern": "pattern of the matrix",
         "assembly": "assemble",
         "linear solver": "solve (MUMPS)",

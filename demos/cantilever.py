@@ -226,13 +226,15 @@ def snapshot(body, law, time):
     return time, cloud
 
 
-def draw(path, frames, unit="kJ", scale=1e3, fields=("strain", "kinetic")):
+def draw(path, frames, unit="kJ", scale=1e3, fields=("strain", "kinetic"), time_unit=("s", 1.0)):
+    """Points coloured by their energies at some times."""
     for field in fields:
         panels = []
         for title, (time, cloud) in frames.items():
             if cloud is not None:
                 cloud[field] = cloud[f"{field} energy"] / scale
-            panels.append(io.Panel(cloud, field, f"{title}, {time:.4g} s"))
+            shown = f"{title}, {time / time_unit[1]:.4g} {time_unit[0]}"
+            panels.append(io.Panel(cloud, field, shown))
         label = f"{field} energy [{unit}/m^3]"
         name = path.with_name(f"{path.stem}_{field}.png")
         io.picture(name, panels, label, limits=io.colour_range(panels, cut=1))

@@ -69,7 +69,7 @@ class Case:
 
 
 def build(case):
-    lower, upper = np.zeros(3), np.array([30.0, WIDTH, 6.0])
+    lower, upper = np.zeros(3), np.array([40.0, WIDTH, 6.0])
     cells = np.rint(upper / case.h).astype(int)
     domain = mesh.create_box(
         MPI.COMM_WORLD, [lower, cells * case.h], cells.tolist(), mesh.CellType.hexahedron

@@ -140,7 +140,7 @@ def show(cases, until, output):
         widened[f"{case.label()}: widened"] = (shapes[:, 0] * 1e6, shapes[:, 2] * 1e3)
         save(output / f"taylor_bar_{case.method}.csv", table, {"case": case.label()})
         if frames:
-            draw(output / f"taylor_bar_{case.method}.png", frames, "MJ", 1e6, FIELDS)
+            draw(output / f"taylor_bar_{case.method}.png", frames, "MJ", 1e6, FIELDS, ("us", 1e-6))
     columns = {"method, cells": "s", "until [us]": ".4g", "length [mm]": ".2f", "of 21.45": "+.1%"}
     columns |= {"radius [mm]": ".2f", "of 7.1": "+.1%", "energy": ".1e", "dissipated": ".1%"}
     printed = io.Table(columns | {"Newton its": ".2f", "most": ".0f"})

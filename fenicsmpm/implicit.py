@@ -248,6 +248,7 @@ class ImplicitMPM:
             self.scheme.begin()
             with clock("map"):
                 self.map_to_grid()
+            with clock("predict"):
                 self.predict()
             result = self.solve()
             with clock("map"):

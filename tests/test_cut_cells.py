@@ -13,7 +13,7 @@ from forms_table import CELLS
 from fenicsmpm import ImplicitMPM, MaterialPoints, _compat, basis, forms, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.mapping import ActiveCells, Tying, correct_weights
-from fenicsmpm.materials import Hencky, NeoHookean
+from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 
 COMM = MPI.COMM_WORLD
@@ -293,6 +293,15 @@ def test_free_fall_with_tied_nodes_and_corrected_weights(stabilization):
     assert np.array_equal(by_id(body, "mass"), mass)
 
 
+def test_nodes_are_tied_in_the_space_of_the_unknown():
+    domain, body, above = block(n=4)
+    V, W = (fem.functionspace(domain, ("Lagrange", 1, (k,))) for k in (1, 2))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    tying = Tying(W, body, ActiveCells(body, above))
+    with pytest.raises(ValueError, match="another space than that of the unknown"):
+        NewtonSolver(ufl.inner(u, v) * body.dx, u, tying=tying)
+
+
 @pytest.mark.mpi
 def test_reduced_matrix_is_made_once_and_nothing_is_left_behind(capfd):
     """PETSc keeps dropped objects of several ranks until a collective call collects them."""
@@ -354,55 +363,6 @@ def test_nodes_without_load_or_mass_stay():
     # the constant function is in the space: the integrals of both sides are equal
     left = forms.assemble_scalar(forms.form(u * body.dx))
     assert left == pytest.approx(body.volume + 0.5 * above.volume)
-
-
-# --- mass and stiffness of cut cells -----------------------------------------------------------
-
-
-def sliver(share):
-    """Points of a square and of a thin layer beside it, which hardly fills the cells there."""
-    domain = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (4, 2)], [4, 2])
-    x = np.stack(np.meshgrid(np.arange(0.125, 2, 0.25), np.arange(0.125, 2, 0.25)), -1)
-    x = x.reshape(-1, 2)
-    layer = np.column_stack([np.full(8, 2 + share / 8), np.arange(0.125, 2, 0.25)])
-    weight = np.append(np.full(len(x), 0.25**2), np.full(8, 0.25 * share / 4))
-    body = MaterialPoints(domain, np.vstack([x, layer]), weight)
-    fm.set_initial_state(body, 1.0)
-    return body
-
-
-def condition(remedy, share):
-    """Of inertia and stiffness in a step, on nodes near points."""
-    body = sliver(share)
-    V = fem.functionspace(body.mesh, ("Lagrange", 1, (2,)))
-    U, w = fem.Function(V), ufl.TestFunction(V)
-    scheme = fm.Midpoint(U, dt=0.1)
-    law = Hencky(10.0, 0.3)
-    stress = fm.EnergyMomentum(law, body, U)
-    R = stress.power(w) - ufl.inner(scheme.force(body), w) * body.dx
-    cells = ActiveCells(body)
-    if remedy == "ghost":
-        R += fm.ghost_penalty(U, w, cells, law) + fm.ghost_mass(w, cells, scheme, 1.0)
-    J = forms.form(ufl.derivative(R, U))
-    A = forms.petsc.assemble_matrix(J)
-    if remedy == "tying":
-        tying = Tying(V, body, cells)
-        tying.update((), forms.inactive_dofs(J))
-        A = tying.reduce(A, A.createVecLeft())
-    rows, columns, values = A.getValuesCSR()
-    dense = np.zeros(A.getSize())
-    dense[np.repeat(np.arange(len(dense)), np.diff(rows)), columns] = values
-    return np.linalg.cond(dense)
-
-
-def test_condition_number_of_cut_cells():
-    shares = (1e-1, 1e-2, 1e-3, 1e-4)
-    without, ghost, tied = (
-        [condition(remedy, share) for share in shares] for remedy in ("none", "ghost", "tying")
-    )
-    assert np.array(without[1:]) / without[:-1] == pytest.approx(10, rel=0.02)
-    assert max(ghost) < 1.05 * min(ghost) < 200
-    assert max(tied) < 1.05 * min(tied) < 200
 
 
 def test_tied_nodes_of_functions_that_reach_beyond_active_cells():

@@ -18,6 +18,8 @@ from fenicsmpm.materials import (
 from fenicsmpm.materials.tensors import (
     cube_root,
     exponential,
+    exprel,
+    exprel_small,
     inverse_cube_root,
     log_of_one_plus,
     logarithm,
@@ -207,11 +209,62 @@ def test_easy_steps_of_eight_points_are_those_of_one(law):
     assert not _eight(law.update_eight, _in_rows(F), *arguments[1:])
 
 
-def test_a_plastic_step_of_one_in_eight_is_not_easy():
-    law = VonMises(70.0, 0.3, 0.1, sigma_r=0.05, eta=5.0)
+@pytest.mark.parametrize(
+    "law",
+    [
+        VonMises(70.0, 0.3, 0.1),
+        VonMises(70.0, 0.3, 0.1, H=3.0),
+        VonMises(70.0, 0.3, 0.1, sigma_r=0.05, eta=5.0),
+        VonMises(70.0, 0.3, 0.1, H=2.0, sigma_r=0.4, eta=3.0),
+    ],
+)
+def test_plastic_steps_of_eight_points_are_those_of_one(law):
+    """The points yield at a shear strain of 0.002; 0 and 1 do not, and 7 unloads at the end."""
+    directions = RNG.normal(size=(8, 3, 3))
+    sizes = np.array([0, 1e-3, 2e-3, 0.005, 0.01, 0.02, 0.03, 0.03])
+    change = directions * (sizes / np.linalg.norm(directions, axis=(1, 2)))[:, None, None]
+    change[0, 0, 0] = 1e-12
+    F, state = np.tile(np.eye(3), (8, 1, 1)), law.initial_state(8)
+    flows = []
+    for factor in (1.0, 0.9, -0.01):
+        F = (np.eye(3) + factor * change) @ F
+        rows, sigma = np.ascontiguousarray(state.T), np.empty((9, 8))
+        assert _eight(law.update_eight, _in_rows(F), np.zeros((9, 8)), law.parameters, rows, sigma)
+        before = state.copy()
+        for i in range(8):
+            expected = np.empty((3, 3))
+            law.update(F[i], np.zeros((3, 3)), law.parameters, state[i], expected)
+            assert sigma[:, i] == pytest.approx(expected.ravel(), abs=2e-14 * law.kappa)
+            assert rows[:, i] == pytest.approx(state[i], abs=1e-14)
+        still = (state == before).all(axis=1)
+        assert np.array_equal(rows[:, still], before[still].T)
+        flows.append(np.flatnonzero(~still))
+    assert flows[0].tolist() in ([2, 3, 4, 5, 6, 7], [3, 4, 5, 6, 7])
+    assert {4, 5, 6, 7} <= set(flows[1]) and len(flows[2]) == 0
+
+
+def test_large_flow_of_one_in_eight_is_not_easy():
+    law = VonMises(70.0, 0.3, 0.1, sigma_r=0.05, eta=50.0)
     F = np.tile(np.eye(3), (8, 1, 1))
     rows, sigma = np.ascontiguousarray(law.initial_state(8).T), np.empty((9, 8))
-    zero = np.zeros((9, 8))
-    assert _eight(law.update_eight, _in_rows(F), zero, law.parameters, rows, sigma)
     F[6, 0, 1] = 0.01
+    before, zero = rows.copy(), np.zeros((9, 8))
     assert not _eight(law.update_eight, _in_rows(F), zero, law.parameters, rows, sigma)
+    assert np.array_equal(rows, before)
+
+
+@njit
+def _exponentials(x, result):
+    lanes.store(result, 0, math.exp(lanes.load(x, 0)))
+    lanes.store(result, 1, exprel_small(lanes.load(x, 0)))
+
+
+def test_exponentials():
+    x, result = (
+        np.array([[0.0, 1e-20, -1e-9, 0.01, -0.03, 0.0999, -0.0999, 1e-3]]),
+        np.empty((2, 8)),
+    )
+    _exponentials(x, result)
+    assert result[0] == pytest.approx(np.exp(x[0]), rel=3e-16)
+    assert result[1] == pytest.approx([exprel(v) for v in x[0]], rel=3e-16)
+    assert exprel(0.0) == 1 and exprel(2.0) == pytest.approx(math.expm1(2.0) / 2, rel=1e-15)

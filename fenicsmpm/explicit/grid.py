@@ -106,10 +106,9 @@ class Supports:
         """Find the nodes (collective)."""
         self._V, self._bcs, self._value = V, list(bcs), fem.Function(V)
         dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-        dofs = [np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in bcs)]
+        dofs = _compat.fixed_dofs(bcs)
         # values at ghosts may differ from their owners' by round-off
-        self._dofs = np.unique(np.concatenate(dofs))
-        self._dofs = self._dofs[self._dofs < owned * dim]
+        self._dofs = dofs[dofs < owned * dim]
         mine = nodes.numbers(V.tabulate_dof_coordinates()[self._dofs // dim])
         self._nodes = np.concatenate(V.mesh.comm.allgather(mine))
         self._components = np.concatenate(V.mesh.comm.allgather(self._dofs % dim)).astype(np.int64)

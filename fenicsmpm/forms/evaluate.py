@@ -13,6 +13,7 @@ import ufl
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
+from fenicsmpm.forms import loops
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.form import Form
 from fenicsmpm.forms.integral import PointIntegral
@@ -80,7 +81,7 @@ class PointExpression:
         n = len(self._integral.points)
         result = np.zeros((n, int(np.prod(self.shape, dtype=int))))
         for rows, values in self.batches():
-            result[rows] = values
+            loops.put_rows(result, rows, values, 0)
         return result.reshape(n, *self.shape)
 
 
@@ -111,11 +112,10 @@ class FieldUpdates:
         result = {name: np.empty((n, *shape)) for name, shape in self._shapes.items()}
         for rows, values in self._expression.batches():
             first = 0
-            for name, shape in self._shapes.items():
-                size = int(np.prod(shape, dtype=int))
-                part = values[:, first : first + size]
-                result[name][rows] = part.reshape(len(rows), *shape)
-                first += size
+            for array in result.values():
+                columns = array.reshape(n, -1)
+                loops.put_rows(columns, rows, values, first)
+                first += columns.shape[1]
         return result | {name: function() for name, function in self._functions.items()}
 
 

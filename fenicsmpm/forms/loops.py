@@ -51,6 +51,14 @@ def evaluate_points(address, inputs, tensors):
         evaluate_kernel(address, tensors[k], inputs[k])
 
 
+@numba.njit(cache=True)
+def put_rows(result, rows, values, first):
+    """``result[rows] = values[:, first:first + n_columns]``, a row at once."""
+    for k in range(len(rows)):
+        for c in range(result.shape[1]):
+            result[rows[k], c] = values[k, first + c]
+
+
 @numba.njit(cache=True, parallel=True)
 def element_scalars(address, offsets, weights, inputs, result):
     """Integral over each group's points into ``result (n_groups,)``."""

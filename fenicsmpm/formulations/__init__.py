@@ -15,14 +15,15 @@ from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.midpoint import Midpoint
 from fenicsmpm.formulations.mixed import (
+    MixedLaw,
     mixed,
     mixed_space,
     parts,
     subspaces,
-    volumetric_residual,
 )
 from fenicsmpm.formulations.mixed_energy_momentum import MixedEnergyMomentum
 from fenicsmpm.formulations.newmark import Bossak, GeneralizedAlpha, Newmark
+from fenicsmpm.formulations.newtonian_flow import VOLUMES, NewtonianFlow
 from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
     STABILIZATIONS,
@@ -39,13 +40,16 @@ from fenicsmpm.formulations.time_scheme import TimeScheme, density
 __all__ = [
     "BDF2",
     "STABILIZATIONS",
+    "VOLUMES",
     "Bossak",
     "EnergyMomentum",
     "GeneralizedAlpha",
     "Kinematics",
     "Midpoint",
     "MixedEnergyMomentum",
+    "MixedLaw",
     "Newmark",
+    "NewtonianFlow",
     "Response",
     "TimeScheme",
     "asgs",
@@ -70,5 +74,4 @@ __all__ = [
     "stress_power",
     "subspaces",
     "tau",
-    "volumetric_residual",
 ]

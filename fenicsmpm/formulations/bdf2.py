@@ -65,6 +65,11 @@ class BDF2(TimeScheme):
     def memory(self, values: dict[str, float]) -> None:
         self._previous_dt = values.get("previous_dt")
 
+    @property
+    def rates(self) -> tuple[Any, Any]:
+        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        return self._new / self.dt, (self._new / self.dt) ** 2
+
     def grid_velocity(self) -> Any:
         """Velocity on the grid at the end of the step [m/s], UFL."""
         return self._velocity

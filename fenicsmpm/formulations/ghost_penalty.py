@@ -8,10 +8,10 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
-from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.formulations.mixed import MixedLaw, parts
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.mapping import ActiveCells
-from fenicsmpm.materials import Hencky, NeoHookean, VonMises
+from fenicsmpm.materials import Hencky, Law, VonMises
 from fenicsmpm.points.geometry import cell_geometry
 
 
@@ -19,7 +19,7 @@ def ghost_penalty(
     U: fem.Function,
     V: Any,
     cells: ActiveCells,
-    law: NeoHookean | Hencky | VonMises,
+    law: MixedLaw | Hencky | VonMises,
     *,
     gamma: float = 0.1,
 ) -> ufl.Form:
@@ -44,9 +44,10 @@ def ghost_penalty(
     u, *pressure = parts(U)[:2]
     w, *test = parts(V)[:2]
     h, jump = _facets(cells)
-    penalty = law.mu * h * ufl.inner(jump(u), jump(w))
+    mu = law.mu if isinstance(law, Law) else law.modulus(h**2)
+    penalty = mu * h * ufl.inner(jump(u), jump(w))
     for p, q in zip(pressure, test, strict=True):
-        penalty -= h**3 / (2 * law.mu) * jump(p) * jump(q)
+        penalty -= h**3 / (2 * mu) * jump(p) * jump(q)
     return gamma * penalty * cells.dS
 
 

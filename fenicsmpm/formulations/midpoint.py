@@ -69,6 +69,15 @@ class Midpoint(TimeScheme):
         """
         return []
 
+    def velocity(self) -> Any:
+        """Velocity on the grid in the middle of the step [m/s], UFL."""
+        return self.increment / self.dt
+
+    @property
+    def rates(self) -> tuple[Any, Any]:
+        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        return 1 / self.dt, 2 / self.dt**2
+
     def grid_velocity(self) -> Any:
         """Velocity on the grid at the end of the step [m/s], UFL."""
         return self._velocity

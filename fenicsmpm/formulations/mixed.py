@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import basix.ufl
 import numpy as np
@@ -12,8 +12,26 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints
+
+
+class MixedLaw(Protocol):
+    """What the mixed formulation and its stabilizations need of a material.
+
+    Attributes:
+        inverse_kappa: inverse of the bulk modulus [1/Pa], zero for incompressible materials.
+    """
+
+    inverse_kappa: float
+
+    def deviatoric_power(self, k: Kinematics, U: Any, V: Any) -> Any:
+        """Virtual work of the deviatoric stress per volume before the step [J/m^3]."""
+
+    def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
+        """What is to be zero, per volume before the step [-]."""
+
+    def modulus(self, h_squared: Any) -> Any:
+        """Shear modulus [Pa] that stands for the resistance of a cell of size h [m^2]."""
 
 
 def mixed_space(mesh: Any, projections: bool = False, degree: int = 1) -> fem.FunctionSpace:
@@ -38,7 +56,7 @@ def mixed(
     U: fem.Function,
     V: Any,
     points: MaterialPoints,
-    law: NeoHookean,
+    law: MixedLaw,
     *,
     force: Any = None,
 ) -> ufl.Form:
@@ -52,7 +70,7 @@ def mixed(
             two parts of a mixed space.
         V: test function of the same space.
         points: material points with weights V_n [m^d].
-        law: constitutive law.
+        law: ``NeoHookean``, ``NewtonianFlow``, or another ``MixedLaw``.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
 
     Returns:
@@ -63,8 +81,8 @@ def mixed(
     k = Kinematics(u, points)
     # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w;
     # written like this, tangents need no inverse of f and cost a fraction
-    power = ufl.derivative(law.energy(k.F, k.J) / k.J_n, U, V) + p * ufl.derivative(k.j, U, V)
-    constraint = volumetric_residual(p, k, law) * q
+    power = law.deviatoric_power(k, U, V) + p * ufl.derivative(k.j, U, V)
+    constraint = law.volumetric_residual(p, k) * q
     residual = (power + constraint) * points.dx
     if force is not None:
         residual -= ufl.inner(force, w) * points.dx
@@ -107,11 +125,3 @@ def subspaces(V: fem.FunctionSpace) -> list[tuple[fem.FunctionSpace, npt.NDArray
         size = (index_map.size_local + index_map.num_ghosts) * V.dofmap.index_map_bs
         return [(V, np.arange(size, dtype=np.int32))]
     return [V.sub(i).collapse() for i in range(V.num_sub_spaces)]
-
-
-def volumetric_residual(p: Any, k: Kinematics, law: NeoHookean) -> Any:
-    """R_p = U'(J)/kappa - p/kappa [-] (VMS, equation 2)."""
-    residual = law.volumetric_strain(k.J)
-    if law.inverse_kappa > 0:
-        residual -= law.inverse_kappa * p
-    return residual

@@ -23,29 +23,35 @@ class MixedEnergyMomentum(EnergyMomentum):
         S = S_iso + p Z,  Z : Delta C / 2 = Delta J
         (Delta J - Delta theta, q) - alpha / mu (Delta r, q - q_K) = 0  per initial volume
 
-    with S_iso and Z discrete derivatives of the isochoric energy and of J, and two strains and
-    pressures that points carry: the volumetric strain theta of energy kappa theta^2 / 2, and the
-    part r of the pressure that varies in a cell, which stabilizes (Dohrmann and Bochev) and has the
-    energy alpha r^2 / (2 mu). Both follow from p being their mean over the step,
-    p = kappa (theta_n + theta_{n+1}) / 2 and p - p_K = (r_n + r_{n+1}) / 2. With the mid-point
-    rule, the consistent mass and FLIP, kinetic energy and all three of these together are constant.
+    with S_iso and Z discrete derivatives of the isochoric energy and of J. Points carry the
+    volumetric strain theta of energy kappa theta^2 / 2, and a pressure r of energy
+    alpha r^2 / (2 mu), the part of p that varies in a cell, which stabilizes (Dohrmann and Bochev).
+    Both follow from their means over the step, kappa (theta_n + theta_{n+1}) / 2 = p and
+    (r_n + r_{n+1}) / 2 = p - p_K. With the mid-point rule, the consistent mass and FLIP, kinetic
+    energy and all three of these together are constant. What p cannot show of theta and r changes
+    its sign from step to step: nothing damps it.
 
-    Nodes that few points see are to be tied (``mapping.Tying``), as the pressure is ill there.
+    Nodes that few points see are to be tied, as the pressure is ill there, in both parts of the
+    space: ``mapping.Tying(U.function_space, ...)``. The mean p_K needs finite elements or cubic
+    splines (``ufl.cell_avg``); with quadratic ones and uGIMP, set alpha = 0.
 
     Volume is kept step by step, not since the start: J = 1 would have to correct what the last
     cells left, and corrections do work.
 
     Args:
-        law: neo-Hookean law with volumetric="quadratic", whose p is linear in J.
+        law: neo-Hookean law with volumetric="quadratic", whose p is linear in J; any for nu = 0.5.
         points: the body, with the fields of ``set_initial_state``.
         U: unknown of a mixed space: displacement increment [m] and pressure of the step [Pa].
         alpha: factor of the stabilization [-].
 
     Attributes:
-        updates: new fields after a step, for ``ImplicitMPM``.
+        algorithmic_stress: S from above [Pa], 3x3.
+        updates: new fields after a step, for ``ImplicitMPM``: "theta" [-], "r" [Pa] (zero at first)
+            and those of the isochoric part. P, S and work are of that part only.
 
     Raises:
-        ValueError: for spaces without pressure, other volumetric laws, a negative alpha.
+        ValueError: for spaces without pressure, other volumetric laws, a negative alpha, or points
+            that have a field "theta" or "r".
     """
 
     def __init__(
@@ -53,30 +59,32 @@ class MixedEnergyMomentum(EnergyMomentum):
     ) -> None:
         """Write down stress and strains."""
         p = parts(U, 2)[1]
-        if law.volumetric != "quadratic":
+        if law.inverse_kappa > 0 and law.volumetric != "quadratic":
             raise ValueError(
                 f"energy is kept with volumetric='quadratic' only, as pressures are linear in J "
                 f"there: {law!r}"
             )
         if not 0 <= alpha < float("inf"):
             raise ValueError(f"alpha must be finite and not negative: {alpha}")
+        taken = sorted({"theta", "r"} & set(points.field_names))
+        if taken:
+            raise ValueError(f"the body has a field {taken[0]!r} already, which is to be made here")
         super().__init__(lambda F: law.energy(F, ufl.det(F)), points, U)
         self._law, self._alpha = law, alpha
         F, F_n = self.F, points.field("F")
         J, J_n = ufl.det(F), ufl.det(F_n)
         mean = (J * ufl.inv(F.T * F) + J_n * ufl.inv(F_n.T * F_n)) / 2
         self.algorithmic_stress += p * self._discrete_derivative(J - J_n, mean)
-        points.add_field("theta", (), 0.0)
-        if law.inverse_kappa > 0:
-            points["theta"] = np.linalg.det(points["F"]) - 1
-        points.add_field("r", (), 0.0)
-        theta, r = points.field("theta"), points.field("r")
-        r.history = theta.history = ("theta", "r")
-        self.updates = {
-            **self.updates,
-            "theta": 2 * law.inverse_kappa * p - theta,
-            "r": 2 * (p - ufl.cell_avg(p)) - r,
-        }
+        is_compressible = law.inverse_kappa > 0
+        points.add_field("theta", (), np.linalg.det(points["F"]) - 1 if is_compressible else 0.0)
+        means = {"theta": law.inverse_kappa * p}
+        if alpha > 0:
+            points.add_field("r", (), 0.0)
+            means["r"] = p - ufl.cell_avg(p)
+        for name in means:
+            points.field(name).history = tuple(means)
+        ends = {name: 2 * mean - points.field(name) for name, mean in means.items()}
+        self.updates = {**self.updates, **ends}
 
     def power(self, V: Any) -> ufl.Form:
         """Internal virtual work, and the constraint of the volume in weak form.
@@ -89,15 +97,21 @@ class MixedEnergyMomentum(EnergyMomentum):
         """
         q = parts(V, 2)[1]
         points, F_n = self._points, self._points.field("F")
-        gain = {name: self.updates[name] - points.field(name) for name in ("theta", "r")}
-        constraint = (ufl.det(self.F) - ufl.det(F_n) - gain["theta"]) * q
-        constraint -= self._alpha / self._law.mu * gain["r"] * (q - ufl.cell_avg(q))
+
+        def gain(name: str) -> Any:
+            return self.updates[name] - points.field(name)
+
+        constraint = (ufl.det(self.F) - ufl.det(F_n) - gain("theta")) * q
+        if self._alpha > 0:
+            constraint -= self._alpha / self._law.mu * gain("r") * (q - ufl.cell_avg(q))
         return super().power(V) + constraint / ufl.det(F_n) * points.dx
 
     def volumetric_energy(self) -> float:
         """Energy of volumetric strain and stabilization [J] (collective)."""
         points, law = self._points, self._law
-        psi = self._alpha / (2 * law.mu) * points["r"] ** 2
+        psi = np.zeros(len(points))
         if law.inverse_kappa > 0:
             psi += law.kappa / 2 * points["theta"] ** 2
+        if self._alpha > 0:
+            psi += self._alpha / (2 * law.mu) * points["r"] ** 2
         return float(points.mesh.comm.allreduce(float(points["V_0"] @ psi)))

@@ -83,6 +83,16 @@ class Newmark(TimeScheme):
         dt = self.share * float(self.dt.value)
         return [steady + dt**2 / 2 * self.histories["a"].x.array, steady]
 
+    def velocity(self) -> Any:
+        """Velocity on the grid when the equations hold [m/s], UFL."""
+        return self._share * self.grid_velocity() + (1 - self._share) * self.histories["v"]
+
+    @property
+    def rates(self) -> tuple[Any, Any]:
+        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        velocity = self._gamma / (self._beta * self.dt)
+        return velocity, (1 - self._alpha_m) / (self._beta * self.dt**2 * self._share)
+
     def grid_velocity(self) -> Any:
         """Velocity on the grid at the end of the step [m/s], UFL."""
         return self.histories["v"] + self._velocity_change(self.histories["a"])

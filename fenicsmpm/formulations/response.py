@@ -27,7 +27,9 @@ class Response:
         material: a law at points, with energy and tangent, or an energy per initial volume
             ``psi(F)`` [J/m^3] in UFL.
         points: the body; a law's state is in fields that have its names, added if missing.
-        F: deformation gradient, UFL expression 3x3.
+        F: deformation gradient, UFL expression 3x3. For a law with a state it must be that at the
+            end of the step, where the state is found: not one of the middle, nor of
+            generalized-alpha's in-between time.
 
     Attributes:
         F: the deformation gradient.

@@ -13,9 +13,8 @@ from dolfinx import fem
 
 from fenicsmpm.forms.slots import leaves_of
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.formulations.mixed import mixed, parts, volumetric_residual
+from fenicsmpm.formulations.mixed import MixedLaw, mixed, parts
 from fenicsmpm.mapping import FilledFraction
-from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints
 
 STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
@@ -30,7 +29,7 @@ def _cell_volume(points: MaterialPoints) -> Any:
     return ufl.CellVolume(points.mesh.ufl_domain())
 
 
-def tau(points: MaterialPoints, law: NeoHookean, c1: float = 1.0, c2: float = 1.0) -> Any:
+def tau(points: MaterialPoints, law: MixedLaw, c1: float = 1.0, c2: float = 1.0) -> Any:
     """Stabilization parameters of VMS, equation 21.
 
     Args:
@@ -40,14 +39,19 @@ def tau(points: MaterialPoints, law: NeoHookean, c1: float = 1.0, c2: float = 1.
         c2: algorithmic constant of tau_2.
 
     Returns:
-        tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa].
+        tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa], with the law's modulus as mu.
     """
-    h_squared = _cell_volume(points) ** (2 / points.mesh.geometry.dim)
-    return c1 * h_squared / (2 * law.mu), 2 * c2 * law.mu
+    h_squared = _h_squared(points)
+    mu = law.modulus(h_squared)
+    return c1 * h_squared / (2 * mu), 2 * c2 * mu
+
+
+def _h_squared(points: MaterialPoints) -> Any:
+    return _cell_volume(points) ** (2 / points.mesh.geometry.dim)
 
 
 def ppp(
-    U: fem.Function, V: Any, points: MaterialPoints, law: NeoHookean, *, alpha: float = 1.0
+    U: fem.Function, V: Any, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0
 ) -> ufl.Form:
     """Polynomial pressure projection of Dohrmann and Bochev, used by VMS for comparison.
 
@@ -68,14 +72,14 @@ def ppp(
     j = Kinematics(u, points).j
     rough_p = p - ufl.cell_avg(p)
     rough_q = q - ufl.cell_avg(q)
-    return -alpha / law.mu * j * rough_p * rough_q * points.dx
+    return -alpha / law.modulus(_h_squared(points)) * j * rough_p * rough_q * points.dx
 
 
 def asgs(
     U: fem.Function,
     V: Any,
     points: MaterialPoints,
-    law: NeoHookean,
+    law: MixedLaw,
     *,
     force: Any = None,
     c1: float = 1.0,
@@ -105,7 +109,7 @@ def osgs(
     U: fem.Function,
     V: Any,
     points: MaterialPoints,
-    law: NeoHookean,
+    law: MixedLaw,
     *,
     force: Any = None,
     c1: float = 1.0,
@@ -155,7 +159,7 @@ def stabilized(
     U: fem.Function,
     V: Any,
     points: MaterialPoints,
-    law: NeoHookean,
+    law: MixedLaw,
     *,
     force: Any = None,
 ) -> ufl.Form:
@@ -188,7 +192,7 @@ def stabilized(
 
 
 def residuals(
-    U: fem.Function, points: MaterialPoints, law: NeoHookean, force: Any = None
+    U: fem.Function, points: MaterialPoints, law: MixedLaw, force: Any = None
 ) -> tuple[Any, Any]:
     """Residuals of momentum and of the volumetric law, for linear elements.
 
@@ -206,7 +210,7 @@ def residuals(
     R_u = _pressure_force(k, p)
     if force is not None:
         R_u += force
-    return R_u, volumetric_residual(p, k, law)
+    return R_u, law.volumetric_residual(p, k)
 
 
 def _pressure_force(k: Kinematics, p: Any) -> Any:
@@ -215,7 +219,7 @@ def _pressure_force(k: Kinematics, p: Any) -> Any:
 
 
 def _subscales(
-    U: Any, V: Any, points: MaterialPoints, law: NeoHookean,
+    U: Any, V: Any, points: MaterialPoints, law: MixedLaw,
     S_u: Any, S_p: Any, c1: float, c2: float,
 ) -> ufl.Form:  # fmt: skip
     """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).

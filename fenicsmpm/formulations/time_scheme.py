@@ -79,6 +79,15 @@ class TimeScheme(ABC):
         """First guesses of the dofs of u [m], the boldest one first; here constant velocity."""
         return [self.share * float(self.dt.value) * self.histories["v"].x.array]
 
+    def velocity(self) -> Any:
+        """Velocity on the grid when the equations hold [m/s], UFL; here at the end of the step."""
+        return self.grid_velocity()
+
+    @property
+    @abstractmethod
+    def rates(self) -> tuple[Any, Any]:
+        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+
     @abstractmethod
     def grid_velocity(self) -> Any:
         """Velocity on the grid at the end of the step [m/s], UFL."""

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Eight numbers at once in loops compiled by numba, in one vector register.
 
-A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``max``, ``math.sqrt``
-and ``math.floor`` act on each of its lanes; of NaN and a number, ``min`` and ``max`` give the
-number. So what is written for one point can be compiled for eight of them, if it has no branches.
-Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four numbers of an array ``(n, 4)``, which
-can only be summed up.
+A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``max``, ``math.sqrt``,
+``math.exp`` and ``math.floor`` act on each of its lanes; of NaN and a number, ``min`` and ``max``
+give the number. So what is written for one point can be compiled for eight of them, if it has no
+branches. Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four numbers of an array
+``(n, 4)``, which can only be summed up.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
@@ -135,6 +135,8 @@ for _operators, _build in (
         _define(_operator, 2, _build)
 _define(operator.neg, 1, lambda b, x: b.fneg(x))
 _define(math.sqrt, 1, lambda b, x: _call(b, "sqrt", VECTOR, x))
+# calls the function of numbers for one lane after the other
+_define(math.exp, 1, lambda b, x: _call(b, "exp", VECTOR, x))
 _define(math.floor, 1, lambda b, x: _call(b, "floor", VECTOR, x))
 _define(min, 2, lambda b, x, y: _call(b, "minnum", VECTOR, x, y))
 _define(max, 2, lambda b, x, y: _call(b, "maxnum", VECTOR, x, y))
@@ -193,19 +195,21 @@ def between(_typing, row, low, high):
 
 
 @intrinsic
-def if_positive(_typing, condition, value):
-    """The value where the condition is above zero, NaN elsewhere; of rows or of numbers."""
+def choose(_typing, condition, value, other):
+    """The value where the condition is above zero, the other one elsewhere; of rows or numbers."""
 
-    def generate(_context, builder, signature, arguments):
-        kind = VECTOR if signature.args[0] is ROW else DOUBLE
-        positive = builder.fcmp_ordered(">", arguments[0], ir.Constant(kind, None))
-        nan = ir.Constant(DOUBLE, math.nan)
-        return builder.select(
-            positive, arguments[1], splat(builder, nan) if kind is VECTOR else nan
-        )
+    def generate(context, builder, signature, arguments):
+        vectors = [
+            argument
+            if kind is ROW or signature.return_type is types.float64
+            else splat(builder, argument)
+            for kind, argument in zip(signature.args, arguments, strict=True)
+        ]
+        zero = ir.Constant(vectors[0].type, None)
+        return builder.select(builder.fcmp_ordered(">", vectors[0], zero), *vectors[1:])
 
-    kind = ROW if condition is ROW else types.float64
-    return kind(kind, kind), generate
+    kinds = [ROW if kind is ROW else types.float64 for kind in (condition, value, other)]
+    return (ROW if ROW in kinds else types.float64)(*kinds), generate
 
 
 # bits of 1.0, and what the least error of the guess below takes from them

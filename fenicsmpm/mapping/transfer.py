@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,10 @@ from dolfinx import fem, la
 
 from fenicsmpm.basis import stencil_of
 from fenicsmpm.points import MaterialPoints
+
+_POSITIONS: weakref.WeakKeyDictionary[fem.Function, npt.NDArray[np.float64]] = (
+    weakref.WeakKeyDictionary()
+)
 
 
 def p2g(
@@ -39,10 +44,11 @@ def p2g(
     result = la.vector(space.dofmap.index_map, size)
     result.array[:] = 0.0
     table = stencil.table(_scalar_element(space), 0)
-    rows = values.reshape(len(points), size)[stencil.order]
+    rows = values.reshape(len(points), size)
     nodes = result.array.reshape(-1, size)
     least = stencil.least if rounded else np.zeros(len(stencil.least))
-    _scatter(rows, table[:, 0, :], stencil.offsets, stencil.dofs(space), least, nodes)
+    dofs = stencil.dofs(space)
+    _scatter(rows, stencil.order, table[:, 0, :], stencil.offsets, dofs, least, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
     return result
@@ -80,35 +86,43 @@ def project(
             for points in point_sets
         )
         dim, size = space.mesh.geometry.dim, space.dofmap.index_map_bs
-        blocks = len(fields) + dim * len(slopes)
-        nodes = np.reshape(sums, (-1, 1 + blocks * size))
-        masses, totals = nodes[:, 0], nodes[:, 1:].reshape(-1, blocks, size)
-        if slopes:
-            x = space.tabulate_dof_coordinates()[:, :dim, None]
-        for k, name in enumerate(slopes):
-            first = len(fields) + k * dim
-            totals[:, list(fields).index(name)] += (x * totals[:, first : first + dim]).sum(axis=1)
+        widths = [1, *(size for _ in fields), *(size * dim for _ in slopes)]
+        nodes = np.reshape(sums, (-1, sum(widths)))
+        masses, *totals = np.split(nodes, np.cumsum(widths[:-1]), axis=1)
+        values = dict(zip(fields, totals, strict=False))
+        for name, total in zip(slopes, totals[len(fields) :], strict=True):
+            G, x = total.reshape(-1, size, dim), _node_positions(fields[name])
+            values[name] += np.einsum("nij,nj->ni", G, x)
         per_mass = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
-        for k, function in enumerate(fields.values()):
-            function.x.array[:] = (totals[:, k] * per_mass[:, None]).ravel()
+        for name, function in fields.items():
+            function.x.array[:] = (values[name] * per_mass).ravel()
 
 
 def _columns(
     points: MaterialPoints, names: Iterable[str], slopes: Mapping[str, str], mass: str
 ) -> npt.NDArray[np.float64]:
-    """``(n_points, size)``: mass, then m f less m G x of each field, then m G_k of those with G."""
+    """``(n_points, size)``: mass, then m f less m G x of each field, then m G of those with G."""
     n, dim = points.x.shape
-    values: dict[str, npt.NDArray[np.float64]] = {
-        name: points[name].reshape(n, math.prod(points.field_shape(name))) for name in names
+    flat = {
+        name: points[name].reshape(n, math.prod(points.field_shape(name)))
+        for name in (*names, *slopes.values())
     }
-    steep = []
-    for name, slope in slopes.items():
-        G = points[slope].reshape(*values[name].shape, dim)
-        values[name] = values[name] - (G @ points.x[..., None])[..., 0]
-        steep += [G[..., k] for k in range(dim)]
+    values = {name: flat[name] for name in names}
+    steep = [flat[slope] for slope in slopes.values()]
+    for name, rows in zip(slopes, steep, strict=True):
+        G = rows.reshape(*values[name].shape, dim)
+        values[name] = values[name] - np.einsum("pij,pj->pi", G, points.x)
     columns = np.concatenate([np.ones((n, 1)), *values.values(), *steep], axis=1)
     columns *= points[mass][:, None]
     return columns
+
+
+def _node_positions(function: fem.Function) -> npt.NDArray[np.float64]:
+    """``(n_nodes, d)`` where the nodes of a Lagrange function are; the mesh does not move."""
+    if function not in _POSITIONS:
+        space = function.function_space
+        _POSITIONS[function] = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
+    return _POSITIONS[function]
 
 
 def _scalar_element(space: fem.FunctionSpace) -> Any:
@@ -117,10 +131,14 @@ def _scalar_element(space: fem.FunctionSpace) -> Any:
 
 
 @numba.njit(cache=True)
-def _scatter(values, table, offsets, dofs, least, result):  # type: ignore[no-untyped-def]
+def _scatter(  # type: ignore[no-untyped-def]
+    values, order, table, offsets, dofs, least, result
+):
     for group in range(len(offsets) - 1):
         for k in range(offsets[group], offsets[group + 1]):
+            value = values[order[k]]
             for a in range(dofs.shape[1]):
                 share = table[k, a] if abs(table[k, a]) >= least[group] else least[group]
-                for c in range(values.shape[1]):
-                    result[dofs[group, a], c] += values[k, c] * share
+                node = result[dofs[group, a]]
+                for c in range(len(value)):
+                    node[c] += value[c] * share

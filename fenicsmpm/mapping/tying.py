@@ -77,7 +77,7 @@ class Tying:
         raise_together(space.mesh.comm, error)
         self._cell_dofs = self._node_dofs[nodes]
         # PETSc objects of several ranks live until they are destroyed by hand
-        self._real_rows, self._tied, self._work = (self._vector() for _ in range(3))
+        self._real_rows, self._tied, self._loose, self._work = (self._vector() for _ in range(4))
         self._reduced: PETSc.Mat | None = None
         self.matrix = PETSc.Mat()
         self.update()
@@ -97,7 +97,6 @@ class Tying:
         fixed = np.asarray(fixed, dtype=np.int32)
         self._fixed = self._global[fixed[fixed < owned]].astype(PETSc.IntType)
         dofs, columns, weights, bare = self._extrapolation(fixed)
-        self._bare = self._global[bare].astype(PETSc.IntType)
         # a tied row also has its diagonal, zero, so that the reduced matrix has room for a one
         entries = np.ones(owned, dtype=PETSc.IntType)
         entries[dofs] += weights.shape[1]
@@ -117,20 +116,30 @@ class Tying:
             self._reduced = None
         self._real_rows.array_w[:] = 1.0
         self._real_rows.array_w[np.intersect1d(dofs, np.asarray(inactive, dtype=np.int32))] = 0.0
+        self._loose.array_w[:] = 1.0
+        self._loose.array_w[bare] = 0.0
         self._tied.array_w[:] = 0.0
         self._tied.array_w[dofs] = 1.0
+        self._tied.array_w[bare] = 1.0
 
     def extend(self, x: PETSc.Vec) -> None:
         """Overwrite the tied entries of a vector by extrapolation, x = T x (collective)."""
         self.matrix.mult(x, self._work)
         x.array_w[:] = self._work.array_r
 
-    def restrict(self, b: PETSc.Vec) -> None:
-        """Move the tied entries of a residual to the filled cells, b = T^T b (collective)."""
+    def restrict(self, b: PETSc.Vec, constrained: bool = True) -> None:
+        """Move the tied entries of a residual to the filled cells, b = T^T b (collective).
+
+        Args:
+            b: residual, overwritten.
+            constrained: False for the equations of ``product``.
+        """
         self.matrix.multTranspose(b, self._work)
         b.array_w[:] = self._work.array_r
+        if not constrained:
+            b.pointwiseMult(b, self._loose)
 
-    def reduce(self, A: PETSc.Mat, b: PETSc.Vec, constrained: bool = True) -> PETSc.Mat:
+    def reduce(self, A: PETSc.Mat, b: PETSc.Vec) -> PETSc.Mat:
         """Matrix T^T A T of the free unknowns; tied and constrained ones have the diagonal 1.
 
         The same object is overwritten until the next ``update``. Collective.
@@ -140,19 +149,33 @@ class Tying:
                 pattern until the next ``update``.
             b: restricted right-hand side with the wanted values at the entries constrained by the
                 conditions of the last ``update``; their contribution is subtracted elsewhere.
-            constrained: whether these conditions hold for the solution. If not, what they constrain
-                is free, but zero at ill nodes, where nothing else would tell its value.
         """
         A.diagonalScale(self._real_rows)
         self._reduced = A.PtAP(self.matrix, self._reduced)
         self._reduced.setDiagonal(self._tied, PETSc.InsertMode.ADD)
-        if constrained:
-            self._work.array_w[:] = b.array_r
-        else:
-            self._work.set(0.0)
-        known = self._fixed if constrained else self._bare
-        self._reduced.zeroRowsColumns(known, 1.0, self._work, b)
+        self._work.array_w[:] = b.array_r
+        self._reduced.zeroRowsColumns(self._fixed, 1.0, self._work, b)
         return self._reduced
+
+    def product(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Compute y = T^T A T x without the conditions of the last ``update`` (collective).
+
+        Tied entries stay. What conditions constrain is free, but zero at ill nodes, where nothing
+        would tell its value.
+
+        Args:
+            A: matrix, also one that is given by its products only.
+            x: vector.
+            y: result.
+        """
+        y.pointwiseMult(x, self._loose)
+        self.matrix.mult(y, self._work)
+        A.mult(self._work, y)
+        y.pointwiseMult(y, self._real_rows)
+        self.matrix.multTranspose(y, self._work)
+        self._work.pointwiseMult(self._work, self._loose)
+        y.pointwiseMult(x, self._tied)
+        y.axpy(1.0, self._work)
 
     def _extrapolation(self, fixed: npt.NDArray) -> tuple[npt.NDArray, ...]:
         """Owned tied dofs ``(n,)``, global dofs ``(n, n_vertices)`` to take, and their weights.

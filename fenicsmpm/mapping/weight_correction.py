@@ -35,9 +35,12 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
         raise ValueError("weights of a body that is not in the active cells: ActiveCells(body, ..)")
     mesh = cells.mesh
     fill = filled_fractions(body)
-    holding = np.concatenate([points.cell for points in cells.points])
-    empty = np.setdiff1d(np.arange(len(fill)), holding)
-    at_gap = nodes_of(mesh, empty)[_compat.geometry_dofmap(mesh)[: len(fill)]].any(axis=1)
+    empty = np.ones(len(fill), dtype=np.bool_)
+    for points in cells.points:
+        empty[points.cell] = False
+    at_gap = nodes_of(mesh, np.flatnonzero(empty))[_compat.geometry_dofmap(mesh)[: len(fill)]].any(
+        axis=1
+    )
     full = ~at_gap & (fill >= _LEAST) & (fill <= _MOST)
     for other in cells.points:
         if other is not body and "V_0" in other:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from fenicsmpm.lanes import if_positive
+from fenicsmpm.lanes import choose
 from fenicsmpm.materials.law import Law, compiled, positive
 from fenicsmpm.materials.tensors import volume_change
 
@@ -16,7 +16,7 @@ from fenicsmpm.materials.tensors import volume_change
 def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     kappa, mu = parameters[0], parameters[1]
     change = volume_change(F)
-    mean = if_positive(1 + change, kappa * change)
+    mean = choose(1 + change, kappa * change, math.nan)
     mean -= 2 * mu * (L[0, 0] + L[1, 1] + L[2, 2]) / 3
     sigma[0, 0] = mean + 2 * mu * L[0, 0]
     sigma[1, 1] = mean + 2 * mu * L[1, 1]

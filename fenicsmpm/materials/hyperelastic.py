@@ -136,6 +136,32 @@ class NeoHookean:
         """
         return self.mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3)
 
+    def deviatoric_power(self, k: Any, U: Any, V: Any) -> Any:
+        """Virtual work of the deviatoric stress per volume before the step [J/m^3], for ``mixed``.
+
+        Args:
+            k: ``Kinematics`` of the step.
+            U: unknown of the step.
+            V: its variation.
+        """
+        return ufl.derivative(self.energy(k.F, k.J) / k.J_n, U, V)
+
+    def volumetric_residual(self, p: Any, k: Any) -> Any:
+        """U'(J)/kappa - p/kappa [-] (VMS, equation 2), for ``mixed``.
+
+        Args:
+            p: pressure [Pa].
+            k: ``Kinematics`` of the step.
+        """
+        residual = self.volumetric_strain(k.J)
+        if self.inverse_kappa > 0:
+            residual -= self.inverse_kappa * p
+        return residual
+
+    def modulus(self, h_squared: Any) -> Any:
+        """Shear modulus for stabilization in cells of size h [Pa]: mu, whatever their size."""
+        return self.mu
+
     def pointwise(self) -> Law:
         """The law at a point: stress from the deformation alone, for explicit steps.
 

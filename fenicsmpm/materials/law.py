@@ -42,9 +42,10 @@ class Law:
             ``dPdF[i, J, k, L] = dP[i, J] / dF[k, L]`` [Pa] of the first Piola-Kirchhoff stress
             after the step; state is that before the step and stays as it is.
         update_eight: ``update_eight(F, L, parameters, state, sigma) -> bool``: the same for eight
-            points at once, if it is easy, such as elastic: F, L and sigma in ``lanes.Row``, state
-            as it was, ``state[k]`` the k-th number of each. If it returns False, ``update`` is
-            called for each point. Not needed where ``update`` has no branches and no state.
+            points at once, if it is easy, such as small strains: F, L and sigma in ``lanes.Row``,
+            ``state[k]`` the k-th number of each. If it returns False, the state is as it was, and
+            ``update`` is called for each point. Not needed where ``update`` has no branches and no
+            state.
         needs_rate: whether ``update`` reads L; if not, loops save the trouble and give zeros.
         is_fluid: whether of F only its determinant matters. Loops may then replace F by any tensor
             of the same determinant, before round-off spoils that of a tensor with large shears.

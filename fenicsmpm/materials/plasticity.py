@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from fenicsmpm.lanes import between
+from fenicsmpm.lanes import between, choose
 from fenicsmpm.materials.hencky import (
     are_small,
     deviatoric_strain,
@@ -20,15 +20,19 @@ from fenicsmpm.materials.hencky import (
 )
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus, positive
 from fenicsmpm.materials.tensors import (
+    SMALL,
     congruence,
     cube_root,
     exponential,
+    exprel,
+    exprel_small,
     inverse,
     log_of_one_plus,
     log_of_one_plus_small,
     metric_change,
     norm_squared,
     rows,
+    small_exponential,
     volume_change,
 )
 
@@ -39,10 +43,16 @@ _EPS_P, _DISSIPATION = 9, 10
 
 
 @compiled
-def yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
+def _decay(eps_p, parameters):  # type: ignore[no-untyped-def]
+    """Share exp(-eta eps_p) of sigma_y - sigma_r that is left."""
+    return math.exp(-parameters[4] * eps_p)
+
+
+@compiled
+def yield_stress(eps_p, decay, parameters):  # type: ignore[no-untyped-def]
     """Yield stress sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative."""
     sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
-    excess = (sigma_y - sigma_r) * math.exp(-eta * eps_p)
+    excess = (sigma_y - sigma_r) * decay
     return sigma_r + excess + H * eps_p, H - eta * excess
 
 
@@ -72,7 +82,7 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
     """
     mu = parameters[0]
     d = 0.0
-    value, slope = yield_stress(eps_p, parameters)
+    value, slope = yield_stress(eps_p, _decay(eps_p, parameters), parameters)
     excess = q - value
     if excess <= 0:
         return d
@@ -80,43 +90,69 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
         if not abs(excess) > 1e-15 * q:  # ends for NaN too
             break
         d += excess / (3 * mu + slope)
-        value, slope = yield_stress(eps_p + d, parameters)
+        value, slope = yield_stress(eps_p + d, _decay(eps_p + d, parameters), parameters)
         excess = q - 3 * mu * d - value
     return d
 
 
 @compiled
-def _dissipated(eps_p, d, parameters):  # type: ignore[no-untyped-def]
-    """Integral of sigma_y - H eps_p from eps_p to eps_p + d."""
-    sigma_y, sigma_r, eta = parameters[2], parameters[3], parameters[4]
-    decay = -math.expm1(-eta * d) / eta if eta > 0 else d
-    return sigma_r * d + (sigma_y - sigma_r) * math.exp(-eta * eps_p) * decay
+def _small_plastic_increment(q, eps_p, decay, parameters):  # type: ignore[no-untyped-def]
+    """As ``_plastic_increment`` for eight points; and whether eta d is small, as is assumed."""
+    mu, eta = parameters[0], parameters[4]
+    d = step = 0 * q
+    for _ in range(4):
+        x = -eta * d
+        value, slope = yield_stress(eps_p + d, decay * (1 + x * exprel_small(x)), parameters)
+        before = d
+        d = max(d + (q - 3 * mu * d - value) / (3 * mu + slope), 0.0)
+        step = d - before
+    excess = 3 * mu * step
+    is_solved = between(1e-28 * q * q - excess * excess, 0.0, math.inf)
+    return d, is_solved and between(eta * d, 0.0, SMALL)
+
+
+@compiled
+def _dissipated(d, decay, exprel, parameters):  # type: ignore[no-untyped-def]
+    """Integral of sigma_y - H eps_p over the increment d, with exprel(-eta d)."""
+    sigma_y, sigma_r = parameters[2], parameters[3]
+    return sigma_r * d + (sigma_y - sigma_r) * decay * d * exprel
+
+
+@compiled
+def _flow(F, change, b, d, dissipated, state):  # type: ignore[no-untyped-def]
+    """Change the state where d > 0, with the part exp(2 e) of b_e that keeps volume."""
+    # C_p^-1 = F^-1 b_e F^-T; its volume comes from J, so that errors do not add up
+    root = cube_root(1 + change)
+    r = root * root
+    c = congruence(inverse(rows(F)), (r * b[0], r * b[1], r * b[2], r * b[3], r * b[4], r * b[5]))
+    state[0] = choose(d, c[0], state[0])
+    state[4] = choose(d, c[1], state[4])
+    state[8] = choose(d, c[2], state[8])
+    state[1] = state[3] = choose(d, c[3], state[3])
+    state[2] = state[6] = choose(d, c[4], state[6])
+    state[5] = state[7] = choose(d, c[5], state[7])
+    state[_EPS_P] += d
+    state[_DISSIPATION] += dissipated
+
+
+@compiled
+def _scaled(f, e):  # type: ignore[no-untyped-def]
+    return f * e[0], f * e[1], f * e[2], f * e[3], f * e[4], f * e[5]
 
 
 @compiled
 def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
-    mu, kappa = parameters[0], parameters[1]
+    mu, kappa, eta = parameters[0], parameters[1], parameters[4]
     change = volume_change(F)
     log_j = log_of_one_plus(change)
     e = deviatoric_strain(_trial(F, state))
     q = _equivalent_stress(mu, norm_squared(e))
     d = _plastic_increment(q, state[_EPS_P], parameters)
     if d > 0:
-        f = 1 - 3 * mu * d / q
-        e = (f * e[0], f * e[1], f * e[2], f * e[3], f * e[4], f * e[5])
-        state[_DISSIPATION] += _dissipated(state[_EPS_P], d, parameters)
-        state[_EPS_P] += d
-        # C_p^-1 = F^-1 b_e F^-T; its volume comes from J, so that errors do not add up
-        root = cube_root(1 + change)
-        r = root * root
-        b = exponential((2 * e[0], 2 * e[1], 2 * e[2], 2 * e[3], 2 * e[4], 2 * e[5]))
-        c = congruence(
-            inverse(rows(F)), (r * b[0], r * b[1], r * b[2], r * b[3], r * b[4], r * b[5])
-        )
-        state[0], state[4], state[8] = c[0], c[1], c[2]
-        state[1] = state[3] = c[3]
-        state[2] = state[6] = c[4]
-        state[5] = state[7] = c[5]
+        e = _scaled(1 - 3 * mu * d / q, e)
+        decay = _decay(state[_EPS_P], parameters)
+        dissipated = _dissipated(d, decay, exprel(-eta * d), parameters)
+        _flow(F, change, exponential(_scaled(2.0, e)), d, dissipated, state)
     set_cauchy_stress(sigma, kappa * log_j, 2 * mu, e, 1 + change)
 
 
@@ -137,16 +173,21 @@ def _least_yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def _update_eight(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
-    mu, kappa = parameters[0], parameters[1]
+    mu, kappa, eta = parameters[0], parameters[1], parameters[4]
     change, b = volume_change(F), _trial(F, state)
     if not are_small(change, b):
         return False
     e = small_deviatoric_strain(b)
-    reserve = _least_yield_stress(state[_EPS_P], parameters) - _equivalent_stress(
-        mu, norm_squared(e)
-    )
-    if not between(reserve, 0.0, math.inf):
-        return False
+    eps_p = state[_EPS_P]
+    q = _equivalent_stress(mu, norm_squared(e))
+    if not between(_least_yield_stress(eps_p, parameters) - q, 0.0, math.inf):
+        decay = _decay(eps_p, parameters)
+        d, is_small = _small_plastic_increment(q, eps_p, decay, parameters)
+        if not is_small:
+            return False
+        e = _scaled(choose(d, 1 - 3 * mu * d / q, 1.0), e)
+        dissipated = _dissipated(d, decay, exprel_small(-eta * d), parameters)
+        _flow(F, change, small_exponential(_scaled(2.0, e)), d, dissipated, state)
     set_cauchy_stress(sigma, kappa * log_of_one_plus_small(change), 2 * mu, e, 1 + change)
     return True
 
@@ -168,7 +209,8 @@ def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
     if d > 0:
         # dev tau = 2 mu factor e with factor = 1 - 3 mu d / q, dd/dq = 1 / (3 mu + slope)
         factor = 1 - 3 * mu * d / q
-        slope = yield_stress(state[_EPS_P] + d, parameters)[1]
+        eps_p = state[_EPS_P] + d
+        slope = yield_stress(eps_p, _decay(eps_p, parameters), parameters)[1]
         c = 36 * mu**4 / q**2 * (d / q - 1 / (3 * mu + slope))
     log_j = log_of_one_plus(volume_change(F))
     set_tangent(F, log_j, e, n, factor * mu, parameters[1], c, dPdF)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from fenicsmpm.lanes import if_positive, rough_inverse_cube_root
+from fenicsmpm.lanes import choose, rough_inverse_cube_root
 from fenicsmpm.materials.law import compiled
 
 SQRT_3 = math.sqrt(3)
@@ -45,7 +45,7 @@ def inverse_cube_root(x):  # type: ignore[no-untyped-def]
         h = 1 - x * z * z * z
         z += z * h * (1 / 3 + 2 / 9 * h)
     z += z * (1 - x * z * z * z) / 3
-    return if_positive(x, z)
+    return choose(x, z, math.nan)
 
 
 @compiled
@@ -69,6 +69,21 @@ def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
     z = y * y
     series = 1 / 9 + z * (1 / 11 + z * (1 / 13 + z / 15))
     return 2 * y * (1 + z * (1 / 3 + z * (1 / 5 + z * (1 / 7 + z * series))))
+
+
+@compiled
+def exprel(x):  # type: ignore[no-untyped-def]
+    """Relative exponential (exp(x) - 1) / x."""
+    return math.expm1(x) / x if x != 0 else 1.0
+
+
+@compiled
+def exprel_small(x):  # type: ignore[no-untyped-def]
+    """As ``exprel`` to round-off for |x| < SMALL, without a branch."""
+    y = 1 + x / 10
+    for k in range(9, 1, -1):
+        y = 1 + x * y / k
+    return y
 
 
 @compiled
@@ -284,9 +299,15 @@ def small_logarithm(A):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def small_exponential(A):  # type: ignore[no-untyped-def]
+    """exp(A) of a symmetric tensor, to round-off for |A| < 2 SMALL."""
+    return _polynomial(A, _EXPONENTIAL)
+
+
+@compiled
 def exponential(A):  # type: ignore[no-untyped-def]
     """exp(A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
     if norm_squared(A) < SMALL**2:
-        return _polynomial(A, _EXPONENTIAL)
+        return small_exponential(A)
     w, n = eigen(A)
     return compose((math.exp(w[0]), math.exp(w[1]), math.exp(w[2])), n)

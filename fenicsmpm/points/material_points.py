@@ -13,29 +13,23 @@ from dolfinx.mesh import Mesh
 
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.checks import (
-    assign,
     check_fields,
     check_input,
     check_positions,
     check_same_fields,
     check_selection,
-    check_weight,
 )
 from fenicsmpm.points.description import describe
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import find_cells, send_home
+from fenicsmpm.points.point_arrays import BUILT_IN, PointArrays
 from fenicsmpm.points.point_field import PointField
 from fenicsmpm.points.sorting import sort_by_number
 
 Selection: TypeAlias = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
-# The arrays that every set of points has; all others are the user's fields.
-_BUILT_IN = ("x", "weight", "xi", "cell", "id", "tag")
-# Changing these by hand would contradict the cells found for the points.
-_READ_ONLY = ("x", "xi", "cell", "id")
 
-
-class MaterialPoints:
+class MaterialPoints(PointArrays):
     """Points that carry the material (or a load) through a background mesh.
 
     Every point is on the rank that owns the cell it lies in. Arrays have the point index first.
@@ -87,7 +81,7 @@ class MaterialPoints:
         self.mesh = mesh
         self._locator = locator(mesh)
         self.geometry = self._locator.geometry
-        error, data = check_input(self._locator, x, weight, cells, xi, tag, fields, _BUILT_IN)
+        error, data = check_input(self._locator, x, weight, cells, xi, tag, fields, BUILT_IN)
         raise_together(self._comm, error)
         raise_together(self._comm, check_fields(self._comm, data))
 
@@ -105,110 +99,13 @@ class MaterialPoints:
             global_cell, data["cell"], data["xi"] = find_cells(
                 self._comm, self._locator, data["x"], data.get("cell")
             )
-        names = [*_BUILT_IN, *(name for name in data if name not in _BUILT_IN)]
+        names = [*BUILT_IN, *(name for name in data if name not in BUILT_IN)]
         self._data = {name: data[name] for name in names}
         self._settle(global_cell)
 
     @property
     def _comm(self) -> MPI.Intracomm:
         return self.mesh.comm
-
-    # --- arrays ---------------------------------------------------------------------------------
-
-    def __len__(self) -> int:
-        """Number of points on this rank."""
-        return len(self._data["x"])
-
-    @property
-    def x(self) -> npt.NDArray[np.float64]:
-        """Positions in m, shape (n, d), read-only: see `move`."""
-        return self["x"]
-
-    @property
-    def xi(self) -> npt.NDArray[np.float64]:
-        """Reference coordinates in the cell, shape (n, d), read-only."""
-        return self["xi"]
-
-    @property
-    def cell(self) -> npt.NDArray[np.int32]:
-        """Local cell (owned by this rank) of each point, shape (n,), int32, read-only."""
-        return self["cell"]
-
-    @property
-    def id(self) -> npt.NDArray[np.int64]:
-        """Permanent number of each point, unique over all ranks, shape (n,), int64, read-only."""
-        return self["id"]
-
-    @property
-    def weight(self) -> npt.NDArray[np.float64]:
-        """Volume, area or length of each point in m^d or m^(d-1), shape (n,)."""
-        return self["weight"]
-
-    @property
-    def tag(self) -> npt.NDArray[np.int32]:
-        """Group of each point, shape (n,), int32."""
-        return self["tag"]
-
-    @property
-    def field_names(self) -> tuple[str, ...]:
-        """Names of the user's fields, in the order in which they were added."""
-        return tuple(name for name in self._data if name not in _BUILT_IN)
-
-    def field_shape(self, name: str) -> tuple[int, ...]:
-        """Shape of a field's value at one point.
-
-        Raises:
-            KeyError: If there is no such field.
-        """
-        return self[name].shape[1:]
-
-    def add_field(
-        self, name: str, shape: tuple[int, ...] = (), value: npt.ArrayLike = 0.0
-    ) -> npt.NDArray[np.float64]:
-        """Add a field of float64 values.
-
-        Args:
-            name: Name of the field, the same on all ranks.
-            shape: Shape of the value at one point.
-            value: Initial value, of shape `shape` or (n, *shape).
-
-        Returns:
-            The new array, shape (n, *shape).
-
-        Raises:
-            ValueError: If the name is taken, or the value has another shape.
-        """
-        if name in self:
-            raise ValueError(f"there is already a field '{name}': assign to points['{name}']")
-        array = np.empty((len(self), *shape))
-        assign(name, array, value)
-        self._data[name] = array
-        return array
-
-    def __contains__(self, name: object) -> bool:
-        """Whether there is a field or built-in array of this name."""
-        return name in self._data
-
-    def __getitem__(self, name: str) -> npt.NDArray:
-        """The array of a field itself, shape (n, *value_shape); no copy.
-
-        Hold no such array across `move`, `add`, `remove` or `sort`: they may replace it.
-        """
-        if name not in self._data:
-            raise KeyError(f"no field '{name}' at the points; there are {', '.join(self._data)}")
-        array = self._data[name]
-        if name in _READ_ONLY:
-            array = array.view()
-            array.flags.writeable = False
-        return array
-
-    def __setitem__(self, name: str, value: npt.ArrayLike) -> None:
-        """Fill the array of an existing field with a value of shape (n, *shape) or (*shape)."""
-        if name in _READ_ONLY:
-            raise ValueError(f"'{name}' cannot be assigned: positions are changed by move()")
-        if name == "weight":
-            check_weight(np.atleast_1d(np.asarray(value, dtype=np.float64)))
-        assign(name, self[name], value)
 
     def field(self, name: str) -> PointField:
         """A field as a coefficient for UFL forms over these points.
@@ -375,30 +272,6 @@ class MaterialPoints:
 
     def _rows(self, which: npt.NDArray) -> dict[str, npt.NDArray]:
         return {name: a[which] for name, a in self._data.items()}
-
-    def assign(self, fields: Mapping[str, npt.NDArray[np.float64]]) -> None:
-        """Give fields new arrays, without copying them; the old arrays stay as they are.
-
-        Args:
-            fields: Arrays of shape (n, *value_shape) by name; also "weight".
-
-        Raises:
-            ValueError: For arrays of another shape, and weights that are not positive and finite.
-        """
-        for name, array in fields.items():
-            if array.shape != self[name].shape or name in _READ_ONLY:
-                raise ValueError(f"an array of shape {array.shape} cannot become field '{name}'")
-            if name == "weight":
-                check_weight(array)
-        self._data.update(fields)
-
-    def snapshot(self, copy: bool = True) -> dict[str, npt.NDArray]:
-        """All arrays on this rank, to be given to `restore`.
-
-        Args:
-            copy: False for the arrays themselves, if nobody changes them in place.
-        """
-        return {name: a.copy() if copy else a for name, a in self._data.items()}
 
     def restore(self, snapshot: Mapping[str, npt.NDArray]) -> None:
         """Go back to what the points were at a snapshot, cells, ranks and fields. Collective.

@@ -85,6 +85,9 @@ class NewtonSolver:
         J: compiled tangent.
         U: the unknown.
         bcs: Dirichlet conditions, may be replaced between solutions.
+
+    Raises:
+        ValueError: for a reduction out of range, and a tying in another space.
     """
 
     def __init__(
@@ -105,6 +108,8 @@ class NewtonSolver:
         """Compile the forms (collective)."""
         if not 0 <= keep_tangent < 1:
             raise ValueError(f"a tangent is kept for reductions in [0, 1): {keep_tangent}")
+        if tying is not None and tying.space != U.function_space:
+            raise ValueError("nodes are tied in another space than that of the unknown")
         self.R = forms.form(R)
         self.J = forms.form(ufl.derivative(R, U) if J is None else J)
         self.U = U

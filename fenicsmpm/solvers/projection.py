@@ -69,26 +69,31 @@ class EffectiveProjection:
             )
         self.point_sets, self.space, self.lumping = list(point_sets), space, lumping
         self._tying, self._fixed = tying, fixed
-        v, w = ufl.TrialFunction(space), ufl.TestFunction(space)
-        consistent = sum(density(points) * ufl.inner(v, w) * points.dx for points in point_sets)
-        self._form = forms.form(consistent)
+        # all components have the same mass
+        scalars, dofs = space.sub(0).collapse()
+        self._blocks = np.asarray(dofs)[: scalars.dofmap.index_map.size_local]
+        self._blocks //= space.dofmap.index_map_bs
+        v, w = ufl.TrialFunction(scalars), ufl.TestFunction(scalars)
+        self._form = forms.form(sum(density(points) * v * w * points.dx for points in point_sets))
         self._solver = LinearSolver(space.mesh.comm, _OPTIONS)
 
     def mass(self) -> PETSc.Mat:
-        """The effective mass of the points as they are [kg] (collective).
+        """The effective mass of the points as they are [kg], given by its products (collective).
 
         Nodes without points have a row of the identity.
         """
         A = forms.petsc.create_matrix(self._form, compact=True)
         forms.petsc.assemble_matrix(self._form, A=A)
+        self._unreached = forms.petsc.unreached_rows(A)
         if self.lumping > 0:
             A.scale(1 - self.lumping)
             diagonal = A.getDiagonal()
-            diagonal.array_w[:] += self.lumping * self._sums("mass")
-            diagonal.array_w[forms.petsc.unreached_rows(A)] = 1.0
+            diagonal.array_w[:] += self.lumping * self._nodal_mass()[self._blocks]
+            diagonal.array_w[self._unreached] = 1.0
             A.setDiagonal(diagonal)
             diagonal.destroy()
-        return A
+        bs = self.space.dofmap.index_map_bs
+        return _operator(_ByComponent(A, self._blocks, bs), self.space)
 
     def project(self, functions: Mapping[str, fem.Function]) -> None:
         """Set functions to the projections of fields (collective).
@@ -99,23 +104,25 @@ class EffectiveProjection:
         Raises:
             LinearSolverError: if there is no such projection; the functions are as before.
         """
-        A = self.mass()
+        A = operator = self.mass()
         b, x = A.createVecs()
         if self._tying is not None:
-            self._tying.update(self._fixed, forms.petsc.unreached_rows(A))
+            bs = self.space.dofmap.index_map_bs
+            unreached = self._blocks[self._unreached][:, None] * bs + np.arange(bs)
+            self._tying.update(self._fixed, unreached.ravel())
+            operator = _operator(_Tied(A, self._tying), self.space)
         results = {}
         try:
             for name in functions:
                 b.array_w[:] = self._sums(name)
-                if self._tying is None:
-                    self._solve(A, b, x)
-                else:
-                    self._tying.restrict(b)
-                    self._solve(self._tying.reduce(A, b, constrained=False), b, x)
+                if self._tying is not None:
+                    self._tying.restrict(b, constrained=False)
+                self._solve(operator, b, x)
+                if self._tying is not None:
                     self._tying.extend(x)
                 results[name] = x.array_r.copy()
         finally:
-            for item in (A, b, x):
+            for item in (operator, A, b, x):
                 item.destroy()
         for name, result in results.items():
             functions[name].x.array[: len(result)] = result
@@ -155,10 +162,61 @@ class EffectiveProjection:
         return norms[0] / norms[1] if norms[1] > 0 else 0.0
 
     def _sums(self, name: str) -> npt.NDArray[np.float64]:
-        """``(n_owned_dofs,)`` sums of N_I m f, or of N_I m for "mass"."""
-        bs = self.space.dofmap.index_map_bs
+        """``(n_owned_dofs,)`` sums of N_I m f."""
         total: Any = 0.0
         for points in self.point_sets:
-            values = np.ones((len(points), bs)) if name == "mass" else points[name]
-            total = total + p2g(points, points["mass"][:, None] * values, self.space).array
-        return total[: self.space.dofmap.index_map.size_local * bs]
+            total = total + p2g(points, points["mass"][:, None] * points[name], self.space).array
+        return total[: len(self._blocks) * self.space.dofmap.index_map_bs]
+
+    def _nodal_mass(self) -> npt.NDArray[np.float64]:
+        """``(n_owned_nodes,)`` sums of N_I m [kg]."""
+        total: Any = 0.0
+        for points in self.point_sets:
+            total = total + p2g(points, points["mass"], self.space).array
+        return total[: len(self._blocks)]
+
+
+class _ByComponent:
+    """The same matrix for each component of a blocked space."""
+
+    def __init__(self, A: PETSc.Mat, blocks: npt.NDArray[np.int32], bs: int) -> None:
+        self._A, self._blocks = A, blocks
+        self._shape = len(blocks), bs
+        self._x, self._y = A.createVecs()
+
+    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        source, target = x.array_r.reshape(self._shape), y.array_w.reshape(self._shape)
+        for k in range(self._shape[1]):
+            self._x.array_w[:] = source[self._blocks, k]
+            self._A.mult(self._x, self._y)
+            target[self._blocks, k] = self._y.array_r
+
+    def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        self._A.getDiagonal(self._x)
+        diagonal.array_w.reshape(self._shape)[self._blocks] = self._x.array_r[:, None]
+
+    def destroy(self, _: PETSc.Mat) -> None:
+        for item in (self._A, self._x, self._y):
+            item.destroy()
+
+
+class _Tied:
+    """A matrix between functions that obey tied nodes; its diagonal is that of the matrix."""
+
+    def __init__(self, A: PETSc.Mat, tying: Tying) -> None:
+        self._A, self._tying = A, tying
+
+    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self._tying.product(self._A, x, y)
+
+    def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        self._A.getDiagonal(diagonal)
+
+
+def _operator(context: Any, space: fem.FunctionSpace) -> PETSc.Mat:
+    """Matrix of a blocked space that is given by its products."""
+    bs, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
+    sizes = index_map.size_local * bs, index_map.size_global * bs
+    matrix = PETSc.Mat().createPython((sizes, sizes), context, space.mesh.comm)
+    matrix.setUp()
+    return matrix

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""The demos of incompressible flow."""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
+
+
+@pytest.mark.slow
+def test_dam_break_implicit():
+    """The coarse mesh, until the front is at 3 a: front, residual height, volume, J of points."""
+    demo = import_module("dam_break_implicit")
+    table, panels = demo.run(demo.Case(h=0.2, dt=2e-3), 0.56, (0.25, 0.5))
+    front, height = demo.deviations(table)
+    assert front < 0.08 and height < 0.05
+    assert np.abs(table[:, 3]).max() < 1e-5
+    assert 0.9 < table[:, 4].min() and table[:, 5].max() < 1.1
+    assert len(panels) == 2
+
+
+def test_wave_on_block(tmp_path):
+    table = import_module("wave_on_block").main(["--short", "--output", str(tmp_path)])
+    assert table["t [s]"][-1] == pytest.approx(0.02)
+    assert np.abs(table["change of the water's volume"]).max() < 1e-8
+    assert (tmp_path / "wave_on_block_deflection.png").exists()
+
+
+def test_taylor_green():
+    """Second order while points move by more than a cell."""
+    demo = import_module("taylor_green")
+    coarse, fine = (demo.error(n, demo.POINTS[n]) for n in (8, 16))
+    assert np.log2(coarse[0] / fine[0]) > 1.9
+    assert np.abs(fine[1]["u"]).max() > 1 / 16
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("dam_break_implicit", "--until 0"),
+        ("dam_break_implicit", "--size 0.3"),
+        ("wave_on_block", "--until -1"),
+        ("wave_on_block", "--size 0.15"),
+    ],
+)
+def test_wrong_options(name, arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        import_module(name).main(arguments.split())
+    assert stopped.value.code == 2
+    assert "error: " in capsys.readouterr().err

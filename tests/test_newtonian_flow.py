@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: MIT
+"""Incompressible Newtonian flow: rest, viscosity, free fall, convergence, what it cannot use."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+
+from fenicsmpm import ImplicitMPM, MaterialPoints, diagnostics, forms, points
+from fenicsmpm import formulations as fm
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.points import PointsOutsideError
+
+COMM = MPI.COMM_WORLD
+G = 9.81
+SCHEMES = {
+    "Newmark": lambda U, dt: fm.Newmark(U, dt=dt),
+    "GeneralizedAlpha": lambda U, dt: fm.GeneralizedAlpha(U, dt=dt),
+    "BDF2": lambda U, dt: fm.BDF2(U, dt=dt),
+    "Midpoint": lambda U, dt: fm.Midpoint(U, dt=dt, lumping=1.0),
+}
+
+
+def tank(size=(1.0, 1.5), cells=(6, 9), comm=COMM):
+    partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
+    return mesh.create_rectangle(comm, [(0, 0), size], list(cells), partitioner=partitioner)
+
+
+def held(space, axis, where):
+    """No displacement along an axis, or none at all, where a condition holds."""
+    sub = space.sub(0) if axis is None else space.sub(0).sub(axis)
+    V = sub.collapse()[0]
+    return fem.dirichletbc(fem.Function(V), fem.locate_dofs_geometrical((sub, V), where), sub)
+
+
+class Flow:
+    """Water in a tank, with the lumped mass."""
+
+    def __init__(self, water, scheme="BDF2", dt=0.01, mu=1e-3, density=1e3, g=G, **options):
+        self.water = water
+        stabilization = options.pop("stabilization", "asgs")
+        volume = options.pop("volume", "start")
+        walls = options.pop("walls", lambda space: [])
+        space = fm.mixed_space(water.mesh, projections=stabilization == "osgs")
+        self.U, self.V = fem.Function(space), ufl.TestFunction(space)
+        self.scheme = SCHEMES[scheme](self.U, dt)
+        self.law = fm.NewtonianFlow(mu, density, self.scheme, volume)
+        b = fem.Constant(water.mesh, (0.0, -g))
+        R = fm.mixed(self.U, self.V, water, self.law, force=fm.density(water) * b)
+        R += self.scheme.lumped(self.V, water)
+        force = fm.density(water) * (b - self.scheme.acceleration)
+        self.R = R + getattr(fm, stabilization)(self.U, self.V, water, self.law, force=force)
+        self.sim = ImplicitMPM(
+            self.R, self.U, self.scheme, water, bcs=walls(space),
+            updates={water: self.law.updates(water)}, **options,
+        )  # fmt: skip
+
+
+def sides_and_floor(space):
+    return [
+        held(space, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)),
+        held(space, 1, lambda x: np.isclose(x[1], 0)),
+    ]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("volume", fm.VOLUMES)
+@pytest.mark.parametrize(
+    ("scheme", "stabilization"),
+    [("BDF2", "asgs"), ("BDF2", "osgs"), ("Newmark", "asgs"), ("GeneralizedAlpha", "asgs")],
+)
+def test_water_at_rest(scheme, stabilization, volume):
+    """The pressure at all points is rho g h from the first step on; nothing moves in a second."""
+    water = points.quadrature(tank(), 4, inside=lambda x: x[:, 1] < 1)
+    fm.set_initial_state(water, 1e3)
+    options = {"stabilization": stabilization, "volume": volume, "walls": sides_and_floor}
+    flow = Flow(water, scheme, dt=0.02, **options)
+    for _ in flow.sim.run(1.0):
+        assert np.allclose(water["p"], -1e3 * G * (1 - water.x[:, 1]), atol=1e-6 * 1e3 * G)
+        assert np.abs(water["v"]).max(initial=0.0) < 1e-7 * np.sqrt(G)
+    assert flow.sim.number == 50
+
+
+@pytest.mark.mpi
+def test_water_at_rest_whose_surface_cuts_cells():
+    """Half a percent of the pressure at the bottom, wherever the surface is."""
+    water = points.fill(tank(), 3, inside=lambda x: x[:, 1] < 0.93)
+    fm.set_initial_state(water, 1e3)
+    flow = Flow(water, dt=0.02, walls=sides_and_floor)
+    surface = water.volume
+    for _ in flow.sim.run(0.2):
+        expected = -1e3 * G * (surface - water.x[:, 1])
+        assert np.allclose(water["p"], expected, atol=0.005 * 1e3 * G * surface)
+        assert np.abs(water["v"]).max(initial=0.0) < 1e-6 * np.sqrt(G)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("scheme", list(SCHEMES))
+def test_single_drops_fall_freely(scheme):
+    """One point in a cell, and a pair that is far away: no forces, however small the masses."""
+    domain = tank((1, 3), (4, 12))
+    x = np.array([[0.13, 2.6], [0.71, 2.62], [0.73, 2.63]]) if COMM.rank == 0 else np.empty((0, 2))
+    drops = MaterialPoints(domain, x, weight=1e-5)
+    fm.set_initial_state(drops, 1e3, velocity=lambda x: np.tile([0.05, 0.0], (len(x), 1)))
+    start = COMM.allreduce(drops.x[:, 1].sum())
+    flow = Flow(drops, scheme)
+    for _ in flow.sim.run(0.4):
+        assert np.allclose(drops["v"][:, 0], 0.05, atol=1e-10)
+        assert np.allclose(drops["v"][:, 1], -G * flow.sim.time, rtol=1e-8)
+    fallen = (start - COMM.allreduce(drops.x[:, 1].sum())) / 3
+    assert fallen == pytest.approx(G * 0.4**2 / 2, rel=1e-8 if scheme != "BDF2" else 0.02)
+    assert np.allclose(drops["J"], 1, atol=1e-10)
+
+
+def test_viscous_power():
+    """In a uniform motion, 2 mu sym(grad v) : grad v per present volume."""
+    water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
+    fm.set_initial_state(water, 1.0)
+    flow = Flow(water, dt=0.1, mu=3.0, density=1.0)
+    flow.scheme.begin()
+    L = np.array([[0.4, 1.0], [-0.2, -0.3]])
+    u = fem.Function(flow.U.function_space.sub(0).collapse()[0])
+    u.interpolate(lambda x: 0.1 * L @ x[:2])
+    flow.U.sub(0).interpolate(u)
+    power = flow.law.deviatoric_power(fm.Kinematics(flow.U.sub(0), water), flow.U, flow.U)
+    f = np.eye(2) + 0.1 * L
+    gradient = L @ np.linalg.inv(f)
+    rate = (gradient + gradient.T) / 2
+    expected = 2 * 3.0 * np.linalg.det(f) * np.sum(rate * gradient) * 0.1
+    found = forms.assemble_scalar(forms.form(power * water.dx))
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("scheme", list(SCHEMES))
+def test_rates_are_those_of_the_scheme(scheme):
+    domain = tank((1, 1), (1, 1), MPI.COMM_SELF)
+    water = points.fill(domain, 1)
+    fm.set_initial_state(water, 1.0)
+    flow = Flow(water, scheme, dt=0.1, density=1.0)
+    flow.scheme.begin()
+    test = ufl.TestFunction(flow.U.function_space)
+    for value, rate in zip(
+        (flow.scheme.velocity(), flow.scheme.acceleration), flow.scheme.rates, strict=True
+    ):
+        change = ufl.derivative(value[0] * water.dx, flow.U, test)
+        found = forms.assemble_vector(forms.form(change)).array
+        expected = forms.assemble_vector(forms.form(rate * ufl.split(test)[0][0] * water.dx)).array
+        assert np.any(expected)
+        assert np.allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.mpi
+def test_water_and_block_fall_together():
+    """Two point sets in one form, in one cell: the whole keeps its momentum, and its shape."""
+    domain = tank((1, 3), (4, 12))
+    water, block = (
+        points.lattice(domain, 1 / 12, inside=lambda x, m=m: np.abs(x - m).max(axis=1) < 0.18)
+        for m in ((0.3, 2.4), (0.7, 2.4))
+    )
+    for body, density in ((water, 1e3), (block, 2e3)):
+        fm.set_initial_state(body, density)
+    space = fm.mixed_space(domain)
+    U, V = fem.Function(space), ufl.TestFunction(space)
+    scheme = fm.BDF2(U, dt=0.01)
+    flow = fm.NewtonianFlow(1e-3, 1e3, scheme)
+    b = fem.Constant(domain, (0.0, -G))
+    R = 0
+    for body, law in ((water, flow), (block, NeoHookean(1e5, 0.45))):
+        R += fm.mixed(U, V, body, law, force=fm.density(body) * b) + scheme.lumped(V, body)
+        R += fm.asgs(U, V, body, law, force=scheme.force(body, b))
+    sim = ImplicitMPM(R, U, scheme, [water, block], updates={water: flow.updates(water)})
+    mass = sum(COMM.allreduce(float(body["mass"].sum())) for body in (water, block))
+    for _ in sim.run(0.2):
+        momentum = sum(diagnostics.momentum(body) for body in (water, block))
+        assert momentum == pytest.approx([0.0, -mass * G * sim.time], abs=1e-9 * mass * G)
+        for body in (water, block):
+            assert np.allclose(body["J"], 1, atol=1e-9)
+            assert np.allclose(body["v"], [0, -G * sim.time], atol=1e-8)
+
+
+# --- bad input -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mu": 0.0}, "viscosity must be positive"),
+        ({"mu": -1.0}, "viscosity must be positive"),
+        ({"density": 0.0}, "density must be positive"),
+        ({"density": np.nan}, "density must be positive"),
+        ({"volume": "always"}, "since the 'start' or of each 'step': 'always'"),
+    ],
+)
+def test_wrong_fluids(change, message):
+    domain = tank((1, 1), (1, 1), MPI.COMM_SELF)
+    scheme = fm.BDF2(fem.Function(fm.mixed_space(domain)), dt=0.1)
+    arguments = {"mu": 1e-3, "density": 1e3, "scheme": scheme} | change
+    with pytest.raises(ValueError, match=message):
+        fm.NewtonianFlow(**arguments)
+
+
+@pytest.mark.mpi
+def test_water_that_leaves_the_tank():
+    domain = tank((1, 1), (4, 4))
+    water = points.fill(domain, 2, inside=lambda x: x[:, 1] < 0.5)
+    fm.set_initial_state(water, 1e3)
+    flow = Flow(water, dt=0.05)  # nothing holds it
+    before = water.snapshot()
+    with pytest.raises(PointsOutsideError, match="outside"):
+        for _ in flow.sim.run(1.0):
+            before = water.snapshot()
+    for name, array in before.items():
+        assert np.array_equal(water[name], array), name
