@@ -81,15 +81,15 @@ def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
     return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
 
 
-def cell_partitioner() -> Any:
-    """Dolfinx's own function that spreads cells over ranks, without ghosts.
+def cell_partitioner(ghosts: GhostMode) -> Any:
+    """Dolfinx's own function that spreads cells over ranks.
 
     From 0.10 on the number of cells at a facet is asked for.
     """
     try:
-        return create_cell_partitioner(GhostMode.none, 2)
+        return create_cell_partitioner(ghosts, 2)
     except TypeError:
-        return create_cell_partitioner(GhostMode.none)
+        return create_cell_partitioner(ghosts)
 
 
 def is_on(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:

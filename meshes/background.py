@@ -11,7 +11,9 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from dolfinx.mesh import GhostMode, Mesh, MeshTags, create_cell_partitioner
+from dolfinx.mesh import GhostMode, Mesh, MeshTags
+
+from fenicsmpm._compat import cell_partitioner
 
 BODY = 1
 SURROUNDING = 2
@@ -137,7 +139,7 @@ def _convert(make: Callable[[Any], None], dim: int, comm: MPI.Comm) -> tuple[Mes
 
 def _partitioner() -> Any:
     """Ranks see their neighbours' cells, which integrals over interior facets need."""
-    return create_cell_partitioner(GhostMode.shared_facet)
+    return cell_partitioner(GhostMode.shared_facet)
 
 
 def _interface() -> Any:

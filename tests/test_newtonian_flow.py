@@ -24,8 +24,7 @@ SCHEMES = {
 
 
 def tank(size=(1.0, 1.5), cells=(6, 9), comm=COMM):
-    partitioner = mesh.create_cell_partitioner(mesh.GhostMode.shared_facet)
-    return mesh.create_rectangle(comm, [(0, 0), size], list(cells), partitioner=partitioner)
+    return mesh.create_rectangle(comm, [(0, 0), size], list(cells))
 
 
 def held(space, axis, where):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import cpp
+from dolfinx.mesh import GhostMode
 
 from fenicsmpm import _compat
 
@@ -29,7 +30,7 @@ def shared_vertex_partitioner(comm: Any, n_parts: int, cell_types: Any, cells: A
     Returns:
         Adjacency list: ranks that get each cell, the owner first.
     """
-    parts = _compat.cell_partitioner()(comm, n_parts, cell_types, cells)
+    parts = _compat.cell_partitioner(GhostMode.none)(comm, n_parts, cell_types, cells)
     owner = parts.array[parts.offsets[:-1]].astype(np.int64)
     n = len(owner)
     vertices = np.asarray(cells[0], dtype=np.int64).reshape(n, -1 if n else 1)

@@ -176,5 +176,5 @@ def _check_ghosts(topology: Any, facet_cells: npt.NDArray[np.int32]) -> ValueErr
         return None
     return ValueError(
         "integrals over interior facets need the neighbours' cells on each rank: create the mesh "
-        "with partitioner=dolfinx.mesh.create_cell_partitioner(GhostMode.shared_facet)"
+        "with ghost cells at facets (dolfinx.mesh.GhostMode.shared_facet)"
     )

@@ -71,8 +71,9 @@ class EffectiveProjection:
         self._tying, self._fixed = tying, fixed
         # all components have the same mass
         scalars, dofs = space.sub(0).collapse()
-        self._blocks = np.asarray(dofs)[: scalars.dofmap.index_map.size_local]
-        self._blocks //= space.dofmap.index_map_bs
+        # dolfinx 0.11 gives a list with one array
+        dofs = np.ravel(dofs)[: scalars.dofmap.index_map.size_local]
+        self._blocks = dofs // space.dofmap.index_map_bs
         v, w = ufl.TrialFunction(scalars), ufl.TestFunction(scalars)
         self._form = forms.form(sum(density(points) * v * w * points.dx for points in point_sets))
         self._solver = LinearSolver(space.mesh.comm, _OPTIONS)
