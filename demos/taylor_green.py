@@ -20,13 +20,14 @@
 # in the unit square (with p the mean stress, the sign is the other one). Points that have left the
 # places in which they were seeded integrate less well: the error of a cell's integral is a share
 # of it that depends on how many points there are. So the number of points in a cell must grow as
-# cells become smaller, here along each side from 4 to 9. Velocities are continued linearly from
+# cells become smaller, here along each side from 4 to 16. Velocities are continued linearly from
 # the points to the nodes (`taylor=True`).
 #
 # ## Implementation
 
 import argparse
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
@@ -38,28 +39,37 @@ from matplotlib.figure import Figure
 
 from fenicsmpm import ImplicitMPM, formulations, io, points
 
-VISCOSITY, DENSITY, END = 0.1, 1.0, 0.1  # Pa s, kg/m^3, s
-POINTS = {8: 4, 16: 6, 32: 9}  # along the side of a triangle, by the squares along the box
+DENSITY = 1.0  # kg/m^2
+POINTS = {8: 4, 16: 8, 32: 16}  # along the side of a triangle, by the squares along the box
+DIAGONALS = ("crossed", "left_right", "right")
 
 
-def exact(x, t):
+@dataclass
+class Case:
+    viscosity: float = 0.1  # Pa s
+    diagonal: str = "crossed"  # of the squares
+    until: float = 0.1  # s
+
+
+def exact(x, t, viscosity):
     """Velocity [m/s] at positions (n, 2)."""
     a, b = np.pi * x.T
-    decay = np.exp(-2 * VISCOSITY / DENSITY * np.pi**2 * t)
+    decay = np.exp(-2 * viscosity / DENSITY * np.pi**2 * t)
     return decay * np.column_stack([np.sin(a) * np.cos(b), -np.cos(a) * np.sin(b)])
 
 
 # The pressure is held at one corner: without, its level were free.
 
 
-def build(n, per_side):
-    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, diagonal=mesh.DiagonalType.crossed)
+def build(case, n, per_side):
+    kind = getattr(mesh.DiagonalType, case.diagonal)
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, diagonal=kind)
     fluid = points.fill(domain, per_side)
-    formulations.set_initial_state(fluid, DENSITY, velocity=lambda x: exact(x, 0.0))
+    formulations.set_initial_state(fluid, DENSITY, velocity=lambda x: exact(x, 0.0, case.viscosity))
     space = formulations.mixed_space(domain)
     U, V = fem.Function(space), ufl.TestFunction(space)
-    scheme = formulations.Newmark(U, dt=END / (2 * n))
-    law = formulations.NewtonianFlow(VISCOSITY, DENSITY, scheme)
+    scheme = formulations.Newmark(U, dt=0.05 / n)
+    law = formulations.NewtonianFlow(case.viscosity, DENSITY, scheme)
     R = formulations.mixed(U, V, fluid, law) + scheme.lumped(V, fluid)
     R += formulations.asgs(U, V, fluid, law, force=scheme.force(fluid))
 
@@ -80,14 +90,14 @@ def build(n, per_side):
     return ImplicitMPM(R, U, scheme, fluid, bcs=bcs, updates=updates, taylor=True)
 
 
-def error(n, per_side, until=END):
+def error(case, n, per_side):
     """Relative L2 error of the points' velocity, and the points."""
-    sim = build(n, per_side)
+    sim = build(case, n, per_side)
     (fluid,) = sim.bodies
     label = f"1/{n}, {per_side**2} points a cell"
-    for _ in io.watch(sim.run(until), until, label):
+    for _ in io.watch(sim.run(case.until), case.until, label):
         pass
-    wanted = exact(fluid.x, sim.time)
+    wanted = exact(fluid.x, sim.time, case.viscosity)
     squares = [(fluid.weight @ np.sum(v**2, axis=1)) for v in (fluid["v"] - wanted, wanted)]
     found, size = (fluid.mesh.comm.allreduce(float(s)) for s in squares)
     return np.sqrt(found / size), fluid
@@ -96,18 +106,18 @@ def error(n, per_side, until=END):
 # ## Results
 
 
-def show(sizes, until, output):
+def show(case, sizes, output):
     rows = io.Table({"h, points a cell": "s", "error of velocity": ".2e", "order": ".2f"})
     errors = {"growing number of points": [], "16 points a cell": []}
     for label, found in errors.items():
         for n in sizes:
             per_side = POINTS[n] if label.startswith("growing") else 4
-            value, fluid = error(n, per_side, until)
+            value, fluid = error(case, n, per_side)
             order = np.log2(found[-1] / value) if found else None
             found.append(value)
             rows.row(f"1/{n}, {per_side**2}", value, order)
     cloud = io.gather_points(fluid)
-    panel = io.Panel(cloud, "v", f"t = {until:g} s")
+    panel = io.Panel(cloud, "v", f"t = {case.until:g} s")
     io.picture(output / "taylor_green.png", [panel], "velocity [m/s]")
     plot(output / "taylor_green_errors.png", sizes, errors)
     io.say(f"taylor_green*.png are in {output}")
@@ -124,6 +134,10 @@ def plot(path, sizes, errors):
         ax.loglog(h, found, "o-", ms=4, label=label)
     ax.loglog(h, 0.7 * min(map(min, errors.values())) * (h / h[-1]) ** 2, "k:", label="order 2")
     ax.set_xticks(h, [f"1/{n}" for n in sizes])
+    values = [value for found in errors.values() for value in found]
+    steps = np.array([1, 2, 5]) * 10.0 ** np.arange(-6, 1)[:, None]
+    shown = steps[(steps > 0.5 * min(values)) & (steps < 2 * max(values))]
+    ax.set_yticks(shown, [f"{value:g}" for value in shown])
     ax.minorticks_off()
     ax.set_xlabel("h [m]")
     ax.set_ylabel("relative L2 error of the velocity [-]")
@@ -139,12 +153,19 @@ def plot(path, sizes, errors):
 def main(arguments=None):
     parser = argparse.ArgumentParser(description="Decaying vortex, order of convergence")
     add = parser.add_argument
+    add("--viscosity", type=float, default=Case.viscosity, help="in Pa s (default: %(default)s)")
+    add("--diagonal", choices=DIAGONALS, default="crossed", help="of squares (default: crossed)")
+    add("--until", type=float, default=Case.until, help="end in s (default: %(default)s)")
     add("--short", action="store_true", help="a few steps on the two coarser meshes, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     options = parser.parse_args(arguments)
+    for name in ("viscosity", "until"):
+        if not getattr(options, name) > 0:
+            parser.error(f"argument --{name}: must be positive, not {getattr(options, name)}")
     io.show_log(logging.WARNING)
+    until = 0.02 if options.short else options.until
     sizes = list(POINTS)[:2] if options.short else list(POINTS)
-    return show(sizes, 0.02 if options.short else END, options.output)
+    return show(Case(options.viscosity, options.diagonal, until), sizes, options.output)
 
 
 if __name__ == "__main__":

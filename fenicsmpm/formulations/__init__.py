@@ -23,7 +23,7 @@ from fenicsmpm.formulations.mixed import (
 )
 from fenicsmpm.formulations.mixed_energy_momentum import MixedEnergyMomentum
 from fenicsmpm.formulations.newmark import Bossak, GeneralizedAlpha, Newmark
-from fenicsmpm.formulations.newtonian_flow import VOLUMES, NewtonianFlow
+from fenicsmpm.formulations.newtonian_flow import NewtonianFlow
 from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
     STABILIZATIONS,
@@ -40,7 +40,6 @@ from fenicsmpm.formulations.time_scheme import TimeScheme, density
 __all__ = [
     "BDF2",
     "STABILIZATIONS",
-    "VOLUMES",
     "Bossak",
     "EnergyMomentum",
     "GeneralizedAlpha",

@@ -31,6 +31,7 @@ class Kinematics:
             gradient at the beginning of the step, otherwise they are undeformed.
 
     Attributes:
+        points: the material points.
         f: gradient of the increment's motion, I + grad(u), d x d.
         j: det f, ratio of the volumes V_{n+1} / V_n.
         F: deformation gradient f F_n, 3x3.
@@ -41,6 +42,7 @@ class Kinematics:
     def __init__(self, u: Any, points: MaterialPoints) -> None:
         """Write down f, j, F and J."""
         dim = points.mesh.geometry.dim
+        self.points = points
         self.f = ufl.Identity(dim) + ufl.grad(u)
         self.j = ufl.det(self.f)
         f3 = ufl.Identity(3) + embed(ufl.grad(u))

@@ -31,7 +31,10 @@ class MixedLaw(Protocol):
         """What is to be zero, per volume before the step [-]."""
 
     def modulus(self, h_squared: Any) -> Any:
-        """Shear modulus [Pa] that stands for the resistance of a cell of size h [m^2]."""
+        """Shear modulus [Pa] that stands for the resistance of a cell, by its h^2 [m^2]."""
+
+    def subscale_modulus(self, points: MaterialPoints, h_squared: Any) -> Any:
+        """Modulus [Pa] by which subscales resist their volumetric residual: tau_2 / 2."""
 
 
 def mixed_space(mesh: Any, projections: bool = False, degree: int = 1) -> fem.FunctionSpace:

@@ -12,28 +12,29 @@ from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.materials.law import positive
 from fenicsmpm.points import MaterialPoints
 
-VOLUMES = ("start", "step")
-
 
 class NewtonianFlow:
     """Incompressible Newtonian fluid sigma = 2 mu sym(grad v) + p I, for ``mixed`` (CMN).
 
     The velocity is that of the time scheme, the unknown of a step its displacement, as for solids.
-    Volume is kept since the start, det F = 1, or step by step, det f = 1, in the weak sense of the
-    pressure's functions. Points carry the errors of a step into cells where others have different
-    ones. The former corrects them, by small pressures; the latter leaves them alone, so that points
-    of a shear layer shrink or grow without bound.
+    The pressure keeps the volume of each step, det f = 1, in the weak sense of its functions, and
+    the points keep their volumes. Were they to follow det F, which is not 1 at each of them, then
+    cells whose points have shrunk would resist the pressure around them less and shrink further:
+    water at rest would break up at the rate sqrt(p / rho) / h. For the same reason det F = 1 since
+    the start is not asked for.
 
-    Stabilization sees viscosity and inertia: with the changes of velocity r_v u and of acceleration
-    r_a u in a step, 1 / tau_1 = rho r_a + 2 mu r_v / h^2 (R. Codina, CMAME 191, 2002, in terms of
-    displacements), and tau_2 = h^2 / tau_1. The inertia in tau_2 asks for triangles whose linear
-    functions can be free of divergence, such as crossed ones: on others the flow is too stiff.
+    Stabilization (R. Codina, CMAME 191, 2002, in terms of displacements) has for subscales of
+    displacement viscosity and inertia, 1 / tau_1 = rho r_a + 2 mu r_v / h^2, with the changes of
+    velocity r_v u and of acceleration r_a u in a step; for those of the pressure
+    tau_2 = (2 mu + rho c h) r_v with c^2 = v^2 + |p| / rho, the rate at which points are brought
+    out of order.
 
     Args:
         mu: dynamic viscosity [Pa s], positive.
         density: [kg/m^d], positive.
         scheme: time scheme of the unknown.
-        volume: "start" for det F = 1, "step" for det f = 1 in each step.
+        correction: share of the errors of volume so far that a step takes back [-]. A fluid alone
+            needs none; beside a solid it makes up for what the solid's compression leaves.
 
     Raises:
         ValueError: for parameters out of range.
@@ -42,14 +43,14 @@ class NewtonianFlow:
     inverse_kappa = 0.0
 
     def __init__(
-        self, mu: float, density: float, scheme: TimeScheme, volume: str = "start"
+        self, mu: float, density: float, scheme: TimeScheme, correction: float = 0.0
     ) -> None:
         """Check and store the parameters."""
         positive(mu, "mu", "viscosity", "Pa s")
         positive(density, "density", "density", "kg/m^d")
-        if volume not in VOLUMES:
-            raise ValueError(f"volume is kept since the 'start' or of each 'step': {volume!r}")
-        self.mu, self.density, self.scheme, self.volume = mu, density, scheme, volume
+        if not 0 <= correction <= 1:
+            raise ValueError(f"the correction of volume is a share from 0 to 1: {correction}")
+        self.mu, self.density, self.scheme, self.correction = mu, density, scheme, correction
 
     def deviatoric_power(self, k: Kinematics, U: Any, V: Any) -> Any:
         """Virtual work of viscous stress per volume before the step [J/m^3].
@@ -64,28 +65,40 @@ class NewtonianFlow:
         return 2 * self.mu * k.j * ufl.inner(rate, k.grad(w))
 
     def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
-        """Change of volume [-], of the step or since the start."""
-        return (k.j if self.volume == "step" else k.J) - 1
+        """Change of volume in the step, and the correction of earlier ones [-]."""
+        change = k.j - 1
+        return change + self.correction * _dilation(k.points) if self.correction > 0 else change
 
     def modulus(self, h_squared: Any) -> Any:
         """Shear modulus [Pa] to which viscosity and inertia amount in cells of size h."""
         velocity, acceleration = self.scheme.rates
         return self.mu * velocity + self.density * acceleration * h_squared / 2
 
-    def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New fields that keep of the deformation its volume only, for ``ImplicitMPM``.
+    def subscale_modulus(self, points: MaterialPoints, h_squared: Any) -> Any:
+        """Shear modulus [Pa] of viscosity, of motion and of pressure in cells of size h."""
+        v, p = points.field("v"), points.field("p")
+        squared = ufl.inner(v, v) + abs(p) / self.density
+        return (self.mu + self.density * ufl.sqrt(squared * h_squared) / 2) * self.scheme.rates[0]
 
-        Shears of a flow grow without bound, and with them the round-off of det F.
+    def updates(self, points: MaterialPoints) -> dict[str, Any]:
+        """New fields for ``ImplicitMPM``: volumes stay; "dilation" is the sum of det f - 1 so far.
 
         Args:
             points: the fluid.
         """
-        J = Kinematics(self.scheme.increment, points).J
-        return {"F": J ** (1 / 3) * ufl.Identity(3), "J": J}
+        k = Kinematics(self.scheme.increment, points)
+        dilation = _dilation(points) + k.j - 1
+        return {"F": points.field("F"), "J": points.field("J"), "dilation": dilation}
 
     def __repr__(self) -> str:
         """Parameters with units."""
         return (
             f"NewtonianFlow(mu={self.mu:g} Pa s, density={self.density:g} kg/m^d, "
-            f"volume={self.volume!r})"
+            f"correction={self.correction:g})"
         )
+
+
+def _dilation(points: MaterialPoints) -> Any:
+    if "dilation" not in points:
+        points.add_field("dilation")
+    return points.field("dilation")

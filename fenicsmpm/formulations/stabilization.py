@@ -39,11 +39,11 @@ def tau(points: MaterialPoints, law: MixedLaw, c1: float = 1.0, c2: float = 1.0)
         c2: algorithmic constant of tau_2.
 
     Returns:
-        tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa], with the law's modulus as mu.
+        tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa], with the law's moduli as mu.
     """
     h_squared = _h_squared(points)
-    mu = law.modulus(h_squared)
-    return c1 * h_squared / (2 * mu), 2 * c2 * mu
+    mu, mu_p = law.modulus(h_squared), law.subscale_modulus(points, h_squared)
+    return c1 * h_squared / (2 * mu), 2 * c2 * mu_p
 
 
 def _h_squared(points: MaterialPoints) -> Any:

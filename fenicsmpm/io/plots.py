@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 
 from mpi4py import MPI
@@ -58,11 +59,11 @@ def _draw(
 
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     ax = figure.subplots()
-    for label, known in reference.items():
+    for (label, known), style in zip(reference.items(), cycle(["--", ":", "-."])):
         if isinstance(known, tuple):
-            ax.plot(*known, "k--", lw=1, label=label)
+            ax.plot(*known, color="k", ls=style, lw=1, label=label)
         else:
-            ax.axhline(known, color="k", ls="--", lw=1, label=label)
+            ax.axhline(known, color="k", ls=style, lw=1, label=label)
     for label, (x, y) in curves.items():
         ax.plot(x, y, label=label)
     ax.set_xlabel(xlabel)

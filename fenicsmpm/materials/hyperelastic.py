@@ -162,6 +162,10 @@ class NeoHookean:
         """Shear modulus for stabilization in cells of size h [Pa]: mu, whatever their size."""
         return self.mu
 
+    def subscale_modulus(self, points: Any, h_squared: Any) -> Any:
+        """Shear modulus [Pa]."""
+        return self.mu
+
     def pointwise(self) -> Law:
         """The law at a point: stress from the deformation alone, for explicit steps.
 
