@@ -208,6 +208,35 @@ def test_water_and_block_fall_together():
             assert np.allclose(body["v"], [0, -G * sim.time], atol=1e-8)
 
 
+def collapse(comm, steps=40):
+    """Front, height, momentum and kinetic energy of a column that falls to one side."""
+    water = points.fill(
+        tank((3, 1.2), (30, 12), comm), 2, inside=lambda x: (x[:, 0] < 0.6) & (x[:, 1] < 1)
+    )
+    fm.set_initial_state(water, 1e3)
+
+    def walls(space):
+        return [
+            held(space, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 3)),
+            held(space, None, lambda x: np.isclose(x[1], 0)),
+        ]
+
+    flow = Flow(water, dt=0.01, walls=walls, newton={"rtol": 1e-12})
+    history = []
+    for _ in range(steps):
+        flow.sim.step()
+        energy = diagnostics.kinetic_energy(water)
+        history.append([*water.bounds[1], *diagnostics.momentum(water) / 1e3, energy / 1e3])
+    return np.array(history)
+
+
+@pytest.mark.mpi
+def test_a_column_falls_on_several_ranks_as_on_one():
+    alone, together = collapse(MPI.COMM_SELF), collapse(COMM)
+    assert alone[-1, 0] > 1.2  # it moves by six cells
+    assert np.abs(together - alone).max() <= 1e-9 * np.abs(alone).max()
+
+
 # --- bad input -----------------------------------------------------------------------------------
 
 
