@@ -76,6 +76,7 @@ class Case:
     ghost: float = 0.1  # factor of the ghost penalty
     correct: bool = True  # quadrature weights of full cells
     volumetric: str = "quadratic"  # law of the pressure, of no matter if nu = 0.5
+    transient: bool = False  # subscales with inertia, which short steps need
 
     def label(self):
         return f"{self.stabilization.upper()}, h = {self.h:g} m, {self.per_cell} points a cell"
@@ -107,8 +108,10 @@ def build(case):
     W = formulations.mixed_space(domain, projections=case.stabilization == "osgs")
     U, V = fem.Function(W), ufl.TestFunction(W)
     scheme = getattr(formulations, case.scheme)(U, dt=case.dt)
-    inertia = scheme.force(body)
-    R = formulations.stabilized(case.stabilization, U, V, body, law, force=inertia)
+    R = formulations.stabilized(
+        case.stabilization, U, V, body, law, force=scheme.force(body),
+        scheme=scheme if case.transient else None,
+    )  # fmt: skip
     R += formulations.dead_load(V, edge, TRACTION)
     if case.ghost > 0:
         R += formulations.ghost_penalty(U, V, cells, law, gamma=case.ghost)
@@ -247,7 +250,7 @@ def study(figures, base, until, output):
         for stabilization, h, per_cell in FIGURES[name]:
             case = replace(base, stabilization=stabilization, h=h, per_cell=per_cell)
             if name == "slides":
-                case = replace(case, dt=0.0025, volumetric="miehe")
+                case = replace(case, dt=0.0025, volumetric="miehe", transient=True)
             _, histories[case.label()] = run(case, until, output)
             compare(histories[case.label()])
         plot(output / f"figure_{name}.png", histories)

@@ -260,6 +260,37 @@ def test_wrong_fluids(change, message):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("stabilization", ["asgs", "osgs"])
+def test_a_box_full_of_water_has_no_level_of_pressure(stabilization):
+    """An error, until the pressure is held at one node."""
+
+    def walls(space):
+        return [
+            held(space, k, lambda x, k=k: np.isclose(x[k], 0) | np.isclose(x[k], 1)) for k in (0, 1)
+        ]
+
+    def walls_and_corner(space):
+        part = space.sub(1)
+        collapsed = part.collapse()[0]
+        corner = fem.locate_dofs_geometrical(
+            (part, collapsed), lambda x: np.isclose(x[0], 0) & np.isclose(x[1], 1)
+        )
+        return [*walls(space), fem.dirichletbc(fem.Function(collapsed), corner, part)]
+
+    water = points.fill(tank((1, 1), (4, 4)), 3)
+    fm.set_initial_state(water, 1e3)
+    flow = Flow(water, stabilization=stabilization, walls=walls)
+    before = water.snapshot()
+    with pytest.raises(ValueError, match="nothing holds the level of the pressure"):
+        flow.sim.step()
+    for name, array in before.items():
+        assert np.array_equal(water[name], array), name
+    flow = Flow(water, stabilization=stabilization, walls=walls_and_corner)
+    flow.sim.step()
+    assert np.allclose(water["p"], -1e3 * G * (1 - water.x[:, 1]), atol=1.0)
+
+
+@pytest.mark.mpi
 def test_water_that_leaves_the_tank():
     domain = tank((1, 1), (4, 4))
     water = points.fill(domain, 2, inside=lambda x: x[:, 1] < 0.5)

@@ -14,6 +14,7 @@ from dolfinx import fem
 from fenicsmpm.forms.slots import leaves_of
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.mixed import MixedLaw, mixed, parts
+from fenicsmpm.formulations.time_scheme import TimeScheme, density
 from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 
@@ -29,20 +30,33 @@ def _cell_volume(points: MaterialPoints) -> Any:
     return ufl.CellVolume(points.mesh.ufl_domain())
 
 
-def tau(points: MaterialPoints, law: MixedLaw, c1: float = 1.0, c2: float = 1.0) -> Any:
+def tau(
+    points: MaterialPoints,
+    law: MixedLaw,
+    c1: float = 1.0,
+    c2: float = 1.0,
+    scheme: TimeScheme | None = None,
+) -> Any:
     """Stabilization parameters of VMS, equation 21.
+
+    Subscales without inertia let Newton's method fail where steps are much shorter than
+    h sqrt(rho / mu). With it, 1 / tau_1 = 2 mu / (c1 h^2) + rho r_a (R. Codina, CMAME 191, 2002),
+    r_a u being the change of acceleration in a step.
 
     Args:
         points: material points.
         law: constitutive law.
         c1: algorithmic constant of tau_1.
         c2: algorithmic constant of tau_2.
+        scheme: time scheme, for subscales with inertia; None for those of the paper.
 
     Returns:
         tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa], with the law's moduli as mu.
     """
     h_squared = _h_squared(points)
     mu, mu_p = law.modulus(h_squared), law.subscale_modulus(points, h_squared)
+    if scheme is not None:
+        mu += c1 * density(points) * scheme.rates[1] * h_squared / 2
     return c1 * h_squared / (2 * mu), 2 * c2 * mu_p
 
 
@@ -84,6 +98,7 @@ def asgs(
     force: Any = None,
     c1: float = 1.0,
     c2: float = 1.0,
+    scheme: TimeScheme | None = None,
 ) -> ufl.Form:
     """Algebraic subgrid scales: subscales are the residuals times tau (VMS, section 4).
 
@@ -97,12 +112,13 @@ def asgs(
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
         c1: constant of tau_1.
         c2: constant of tau_2.
+        scheme: time scheme, for subscales with inertia, see ``tau``.
 
     Returns:
         UFL form of rank 1.
     """
     R_u, R_p = residuals(U, points, law, force)
-    return _subscales(U, V, points, law, R_u, R_p, c1, c2)
+    return _subscales(U, V, points, law, R_u, R_p, c1, c2, scheme)
 
 
 def osgs(
@@ -114,6 +130,7 @@ def osgs(
     force: Any = None,
     c1: float = 1.0,
     c2: float = 1.0,
+    scheme: TimeScheme | None = None,
 ) -> ufl.Form:
     """Orthogonal subgrid scales: residuals minus their lumped projection on the grid.
 
@@ -129,6 +146,7 @@ def osgs(
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
         c1: constant of tau_1.
         c2: constant of tau_2.
+        scheme: time scheme, for subscales with inertia, see ``tau``.
 
     Returns:
         UFL form of rank 1.
@@ -150,7 +168,7 @@ def osgs(
     projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
     fraction = FilledFraction(points)
     lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
-    subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2)
+    subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2, scheme)
     return subscales + lumped - projected
 
 
@@ -162,6 +180,7 @@ def stabilized(
     law: MixedLaw,
     *,
     force: Any = None,
+    scheme: TimeScheme | None = None,
 ) -> ufl.Form:
     """Residual of the mixed formulation with a stabilization chosen by name.
 
@@ -172,6 +191,7 @@ def stabilized(
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
+        scheme: time scheme, for subscales of ASGS and OSGS with inertia, see ``tau``.
 
     Returns:
         UFL form of rank 1.
@@ -185,9 +205,9 @@ def stabilized(
     if name == "ppp":
         return R + ppp(U, V, points, law)
     if name == "asgs":
-        return R + asgs(U, V, points, law, force=force)
+        return R + asgs(U, V, points, law, force=force, scheme=scheme)
     if name == "osgs":
-        return R + osgs(U, V, points, law, force=force)
+        return R + osgs(U, V, points, law, force=force, scheme=scheme)
     raise ValueError(f"unknown stabilization {name!r}: use one of {', '.join(STABILIZATIONS)}")
 
 
@@ -220,7 +240,7 @@ def _pressure_force(k: Kinematics, p: Any) -> Any:
 
 def _subscales(
     U: Any, V: Any, points: MaterialPoints, law: MixedLaw,
-    S_u: Any, S_p: Any, c1: float, c2: float,
+    S_u: Any, S_p: Any, c1: float, c2: float, scheme: TimeScheme | None,
 ) -> ufl.Form:  # fmt: skip
     """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).
 
@@ -231,7 +251,7 @@ def _subscales(
     u, p = parts(U, 2)[:2]
     _, q = parts(V, 2)[:2]
     k = Kinematics(u, points)
-    tau1, tau2 = tau(points, law, c1, c2)
+    tau1, tau2 = tau(points, law, c1, c2, scheme)
     adjoint_u = -ufl.derivative(_pressure_force(k, p), U, V)
     adjoint_p = ufl.derivative(k.j, U, V) - law.inverse_kappa * q
     return (tau1 / k.j * ufl.inner(S_u, adjoint_u) + tau2 * S_p * adjoint_p) * points.dx

@@ -19,6 +19,7 @@ from dolfinx import fem
 
 from fenicsmpm import _compat, forms
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
+from fenicsmpm.solvers.pressure_level import require_pressure_level
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ class NewtonSolver:
         self.tying = tying
         self.linear = LinearSolver(self.J.mesh.comm, petsc_options)
         self._parts = _parts(U.function_space)
+        self._is_new = True
         self._A: PETSc.Mat | None = None
         self._versions: Any = None
         self._b = forms.petsc.create_vector(self.R)
@@ -134,7 +136,8 @@ class NewtonSolver:
 
         Raises:
             NewtonError: why it failed; U then has the values that it had before.
-            ValueError: for Dirichlet conditions on another space, or on no degrees of freedom.
+            ValueError: for Dirichlet conditions on another space, or on no degrees of freedom, and
+                for a pressure whose level nothing holds.
         """
         self._check_bcs()
         result = NewtonResult()
@@ -215,6 +218,9 @@ class NewtonSolver:
                 reference = max(reference, norm)
             if result.iterations == 0 and self.tying is None:
                 self._require_support(A, reference, result)
+                if self._is_new:
+                    require_pressure_level(A, self.U.function_space)
+                    self._is_new = False
             try:
                 with result.seconds("linear solver"):
                     self.linear.solve(A, self._b, self._step)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: MIT
+"""Whether anything holds the level of the pressure."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+
+_ROUND_OFF = 1e-9  # of products that do not vanish
+
+
+def require_pressure_level(A: PETSc.Mat, V: fem.FunctionSpace) -> None:
+    """Raise ValueError if the tangent does not see a constant pressure (collective).
+
+    So it is for incompressible material in a box that it fills, if all of its wall is held: the
+    system is then singular, and the level is what round-off makes of it.
+
+    Args:
+        A: tangent.
+        V: its space; nothing is done if it is not one of displacement and pressure.
+    """
+    shapes = [V.sub(i).ufl_element().reference_value_shape for i in range(V.num_sub_spaces)]
+    if [len(shape) for shape in shapes[:2]] != [1, 0]:
+        return
+    n = V.dofmap.index_map.size_local
+    dofs = [np.unique(V.sub(i).dofmap.list) for i in range(2)]
+    dofs = [local[local < n] for local in dofs]
+    constant, changing = A.createVecs()
+    product = constant.duplicate()
+    constant.array_w[dofs[1]] = 1.0
+    changing.array_w[dofs[1]] = np.where(np.arange(len(dofs[1])) % 2 == 0, 1.0, -1.0)
+    squares = np.zeros((2, 2))
+    for square, vector in zip(squares, (constant, changing), strict=True):
+        A.mult(vector, product)
+        square[:] = [np.sum(product.array_r[rows] ** 2) for rows in dofs[:2]]
+    for vector in (constant, changing, product):
+        vector.destroy()
+    seen, scale = np.sqrt(V.mesh.comm.allreduce(squares))
+    if np.all(seen <= _ROUND_OFF * scale):
+        raise ValueError(
+            "nothing holds the level of the pressure: incompressible material fills the mesh, and "
+            "its whole boundary is fixed. Fix the pressure at one node, by a dirichletbc on "
+            "W.sub(1), or leave a free surface"
+        )
