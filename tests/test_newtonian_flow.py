@@ -35,7 +35,7 @@ def held(space, axis, where):
 
 
 class Flow:
-    """Water in a tank, with the lumped mass."""
+    """Water in a tank, with the lumped mass; the last axis is upwards."""
 
     def __init__(self, water, scheme="BDF2", dt=0.01, mu=1e-3, density=1e3, g=G, **options):
         self.water = water
@@ -46,7 +46,7 @@ class Flow:
         self.U, self.V = fem.Function(space), ufl.TestFunction(space)
         self.scheme = SCHEMES[scheme](self.U, dt)
         self.law = fm.NewtonianFlow(mu, density, self.scheme, correction)
-        b = fem.Constant(water.mesh, (0.0, -g))
+        b = fem.Constant(water.mesh, (0.0,) * (water.mesh.geometry.dim - 1) + (-g,))
         R = fm.mixed(self.U, self.V, water, self.law, force=fm.density(water) * b)
         R += self.scheme.lumped(self.V, water)
         force = fm.density(water) * (b - self.scheme.acceleration)
@@ -80,6 +80,24 @@ def test_water_at_rest(scheme, stabilization, correction):
         assert np.allclose(water["p"], -1e3 * G * (1 - water.x[:, 1]), atol=1e-6 * 1e3 * G)
         assert np.abs(water["v"]).max(initial=0.0) < 1e-7 * np.sqrt(G)
     assert flow.sim.number == 50
+
+
+@pytest.mark.mpi
+def test_water_at_rest_in_space():
+    domain = mesh.create_box(COMM, [(0, 0, 0), (1, 1, 1.5)], [3, 3, 6])
+    water = points.quadrature(domain, 2, inside=lambda x: x[:, 2] < 1)
+    fm.set_initial_state(water, 1e3)
+
+    def walls(space):
+        sides = [
+            held(space, k, lambda x, k=k: np.isclose(x[k], 0) | np.isclose(x[k], 1)) for k in (0, 1)
+        ]
+        return [*sides, held(space, 2, lambda x: np.isclose(x[2], 0))]
+
+    flow = Flow(water, dt=0.02, walls=walls)
+    for _ in flow.sim.run(0.4):
+        assert np.allclose(water["p"], -1e3 * G * (1 - water.x[:, 2]), atol=1e-6 * 1e3 * G)
+        assert np.abs(water["v"]).max(initial=0.0) < 1e-7 * np.sqrt(G)
 
 
 @pytest.mark.parametrize("diagonal", ["right", "crossed"])
