@@ -93,7 +93,8 @@ def beam(**options):
 
 
 # Points lie on a cubic lattice, of a spacing such that there are as many in a cell as wanted on
-# average: the cells of an unstructured mesh differ in size, equal points do not.
+# average: the cells of an unstructured mesh differ in size, equal points do not. The lattice begins
+# at the corner of the mesh and has to fit the body's.
 
 
 def build(case):
@@ -101,7 +102,9 @@ def build(case):
     owned = domain.topology.index_map(3).size_local
     in_body = int(np.sum(tags.values[tags.indices < owned] == 1))
     cells_of_body = domain.comm.allreduce(in_body)
-    a_side = round((cells_of_body * case.per_cell / 6) ** (1 / 3))
+    margins = -0.5 - np.array(case.lower[:2])
+    unit = next(n for n in (1, 2, 4) if np.allclose(margins * n % 1, 0))
+    a_side = unit * round((cells_of_body * case.per_cell / 6) ** (1 / 3) / unit)
 
     def inside(x):
         return (np.abs(x[:, :2]).max(axis=1) < 0.5) & (x[:, 2] > 0) & (x[:, 2] < 6)

@@ -220,6 +220,17 @@ def test_columns(name, component, share, tmp_path, capsys):
     assert times == pytest.approx([0.02])
 
 
+@pytest.mark.parametrize("per_cell", [7, 12, 17])
+@pytest.mark.parametrize("name", ["bending_beam", "twisting_column"])
+def test_columns_are_filled(name, per_cell):
+    """Points reach from wall to wall, whatever their spacing."""
+    pytest.importorskip("gmsh")
+    bending_beam = import_module("bending_beam")
+    make = bending_beam.beam if name == "bending_beam" else import_module(name).twist
+    sim = bending_beam.build(make(h=0.5, per_cell=per_cell))
+    assert sim.bodies[0].volume == pytest.approx(6.0)
+
+
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
