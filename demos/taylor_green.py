@@ -17,8 +17,8 @@
 # p = -\tfrac{\rho}{4} \, e^{-4 \nu \pi^2 t} (\cos 2 \pi x + \cos 2 \pi y) + p_0
 # $$
 #
-# in the unit square (with p the mean stress, the sign is the other one). Points that have left the
-# places in which they were seeded integrate less well: the error of a cell's integral is a share
+# in the unit square, where p is the mean stress, minus the usual pressure. Points that have left
+# the places in which they were seeded integrate less well: the error of a cell's integral is a share
 # of it that depends on how many points there are. So the number of points in a cell must grow as
 # cells become smaller, here along each side from 4 to 16. Velocities are continued linearly from
 # the points to the nodes (`taylor=True`).
@@ -58,7 +58,7 @@ def exact(x, t, viscosity):
     return decay * np.column_stack([np.sin(a) * np.cos(b), -np.cos(a) * np.sin(b)])
 
 
-# The pressure is held at one corner: without, its level were free.
+# The pressure is held at one corner: without, its level is free, and the first step an error.
 
 
 def build(case, n, per_side):

@@ -175,8 +175,9 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     if not options.until > 0:
         parser.error(f"argument --until: must be positive, not {options.until}")
-    if not (0 < options.size <= 0.2 and abs(0.4 / options.size % 1) < 1e-9):
-        parser.error(f"argument --size: at most 0.2 m, and a part of 0.4 m, not {options.size}")
+    h = options.size
+    if not (h > 0 and round(0.2 / h) > 0 and abs(0.2 / h - round(0.2 / h)) < 1e-9):
+        parser.error(f"argument --size: 0.2 m, or that by an integer, not {h}")
     io.show_log(logging.WARNING)
     if options.short:
         return show(Case(h=0.2), 0.02, options.output)

@@ -44,9 +44,11 @@ def test_taylor_green():
     [
         ("dam_break_implicit", "--until 0"),
         ("dam_break_implicit", "--size 0.3"),
+        ("dam_break_implicit", "--size 0.125"),
         ("taylor_green", "--viscosity 0"),
         ("wave_on_block", "--until -1"),
         ("wave_on_block", "--size 0.15"),
+        ("wave_on_block", "--size 0.08"),
     ],
 )
 def test_wrong_options(name, arguments, capsys):

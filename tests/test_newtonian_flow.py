@@ -12,6 +12,7 @@ from fenicsmpm import ImplicitMPM, MaterialPoints, diagnostics, forms, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import PointsOutsideError
+from fenicsmpm.solvers import NewtonError
 
 COMM = MPI.COMM_WORLD
 G = 9.81
@@ -157,7 +158,7 @@ def test_single_drops_fall_freely(scheme):
         assert np.allclose(drops["v"][:, 1], -G * flow.sim.time, rtol=1e-8)
     fallen = (start - COMM.allreduce(drops.x[:, 1].sum())) / 3
     assert fallen == pytest.approx(G * 0.4**2 / 2, rel=1e-8 if scheme != "BDF2" else 0.02)
-    assert np.allclose(drops["J"], 1, atol=1e-10)
+    assert np.allclose(drops["dilation"], 0, atol=1e-9)
 
 
 def test_viscous_power():
@@ -222,7 +223,7 @@ def test_water_and_block_fall_together():
         momentum = sum(diagnostics.momentum(body) for body in (water, block))
         assert momentum == pytest.approx([0.0, -mass * G * sim.time], abs=1e-9 * mass * G)
         for body in (water, block):
-            assert np.allclose(body["J"], 1, atol=1e-9)
+            assert np.allclose(body["dilation"] if body is water else body["J"] - 1, 0, atol=1e-8)
             assert np.allclose(body["v"], [0, -G * sim.time], atol=1e-8)
 
 
@@ -275,6 +276,32 @@ def test_wrong_fluids(change, message):
     arguments = {"mu": 1e-3, "density": 1e3, "scheme": scheme} | change
     with pytest.raises(ValueError, match=message):
         fm.NewtonianFlow(**arguments)
+
+
+def test_a_scheme_of_another_unknown_and_inertia_twice():
+    water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
+    fm.set_initial_state(water, 1e3)
+    flow, other = Flow(water), Flow(water)
+    with pytest.raises(ValueError, match="one of another unknown"):
+        fm.mixed(flow.U, flow.V, water, other.law)
+    with pytest.raises(ValueError, match="have inertia themselves"):
+        fm.stabilized("asgs", flow.U, flow.V, water, flow.law, scheme=flow.scheme)
+
+
+def test_points_turned_inside_out_are_seen():
+    water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
+    fm.set_initial_state(water, 1e3)
+    flow = Flow(water)
+    flow.scheme.begin()
+    u = fem.Function(flow.U.function_space.sub(0).collapse()[0])
+    u.interpolate(lambda x: np.vstack([-2 * (x[0] - 0.5), 0 * x[1]]))
+    flow.U.sub(0).interpolate(u)
+    new = flow.sim.map_to_points()
+    before = water.snapshot()
+    with pytest.raises(NewtonError, match="J = -1"):
+        flow.sim.convect(new)
+    for name, array in before.items():
+        assert np.array_equal(water[name], array), name
 
 
 @pytest.mark.mpi

@@ -23,7 +23,7 @@ class NewtonianFlow:
     water at rest would break up at the rate sqrt(p / rho) / h. For the same reason det F = 1 since
     the start is not asked for.
 
-    Stabilization (R. Codina, CMAME 191, 2002, in terms of displacements) has for subscales of
+    Stabilization (after R. Codina, CMAME 191, 2002, in terms of displacements) has for subscales of
     displacement viscosity and inertia, 1 / tau_1 = rho r_a + 2 mu r_v / h^2, with the changes of
     velocity r_v u and of acceleration r_a u in a step; for those of the pressure
     tau_2 = (2 mu + rho c h) r_v with c^2 = v^2 + |p| / rho, the rate at which points are brought
@@ -33,8 +33,8 @@ class NewtonianFlow:
         mu: dynamic viscosity [Pa s], positive.
         density: [kg/m^d], positive.
         scheme: time scheme of the unknown.
-        correction: share of the errors of volume so far that a step takes back [-]. A fluid alone
-            needs none; beside a solid it makes up for what the solid's compression leaves.
+        correction: share of the errors of volume so far that a step takes back [-], however long it
+            is. A fluid alone needs none; beside a solid it makes up for the solid's own errors.
 
     Raises:
         ValueError: for parameters out of range.
@@ -59,7 +59,12 @@ class NewtonianFlow:
             k: ``Kinematics`` of the step.
             U: unknown of the step.
             V: its variation.
+
+        Raises:
+            ValueError: for the unknown of another time scheme.
         """
+        if U is not self.scheme.U:
+            raise ValueError("the time scheme of the fluid is one of another unknown")
         rate = ufl.sym(k.grad(self.scheme.velocity()))
         w = ufl.split(V)[0]
         return 2 * self.mu * k.j * ufl.inner(rate, k.grad(w))
@@ -88,7 +93,9 @@ class NewtonianFlow:
         """
         k = Kinematics(self.scheme.increment, points)
         dilation = _dilation(points) + k.j - 1
-        return {"F": points.field("F"), "J": points.field("J"), "dilation": dilation}
+        # a point that a step turns inside out must not go unseen
+        J = ufl.conditional(k.j > 0, points.field("J"), k.j)
+        return {"F": points.field("F"), "J": J, "dilation": dilation}
 
     def __repr__(self) -> str:
         """Parameters with units."""

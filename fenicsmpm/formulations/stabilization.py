@@ -48,11 +48,18 @@ def tau(
         law: constitutive law.
         c1: algorithmic constant of tau_1.
         c2: algorithmic constant of tau_2.
-        scheme: time scheme, for subscales with inertia; None for those of the paper.
+        scheme: time scheme, for subscales with inertia; None for those of the paper, and for a law
+            that has inertia itself (``NewtonianFlow``).
 
     Returns:
-        tau_1 = c1 h^2 / (2 mu) [m^2/Pa] and tau_2 = 2 c2 mu [Pa], with the law's moduli as mu.
+        tau_1 = c1 h^2 / (2 mu) [m^2/Pa], with inertia as above, and tau_2 = 2 c2 mu [Pa], with the
+        law's moduli as mu.
+
+    Raises:
+        ValueError: for a scheme and a law that has inertia itself.
     """
+    if scheme is not None and hasattr(law, "scheme"):
+        raise ValueError("the law's subscales have inertia themselves: leave out the scheme")
     h_squared = _h_squared(points)
     mu, mu_p = law.modulus(h_squared), law.subscale_modulus(points, h_squared)
     if scheme is not None:
