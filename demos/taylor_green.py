@@ -18,10 +18,10 @@
 # $$
 #
 # in the unit square, where p is the mean stress, minus the usual pressure. Points that have left
-# the places in which they were seeded integrate less well: the error of a cell's integral is a share
-# of it that depends on how many points there are. So the number of points in a cell must grow as
-# cells become smaller, here along each side from 4 to 16. Velocities are continued linearly from
-# the points to the nodes (`taylor=True`).
+# the places in which they were seeded integrate less well: the error of a cell's integral is a
+# share of it that depends on how many points there are. So the number of points in a cell must
+# grow as cells become smaller, here along each side from 4 to 16. Velocities are continued linearly
+# from the points to the nodes (`taylor=True`).
 #
 # ## Implementation
 
