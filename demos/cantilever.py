@@ -79,10 +79,7 @@ def equations(method, law, body, U, dt):
     else:
         stress = formulations.EnergyMomentum(law, body, U)
         R = stress.power(V)
-    R -= ufl.inner(scheme.force(body), V) * body.dx
-    if method == "lumped":
-        R += scheme.lumped(V, body)
-    return scheme, stress.updates, R
+    return scheme, stress.updates, R + scheme.inertia(V, body)
 
 
 # The grid functions are those of uGIMP. The force acts on the two points at the end that are next

@@ -74,8 +74,7 @@ class Block:
         if method == "energy-momentum":
             scheme = formulations.Midpoint(U, dt=DT)
             self.stress = formulations.MixedEnergyMomentum(LAW, body, U)
-            w, _ = ufl.split(V)
-            R = self.stress.power(V) - ufl.inner(scheme.force(body), w) * body.dx
+            R = self.stress.power(V) + scheme.inertia(V, body)
             updates, newton = {body: self.stress.updates}, {"rtol": 1e-11, "atol": 1e-12}
             newton["tying"] = Tying(space, body, ActiveCells(body))
         else:

@@ -71,9 +71,7 @@ def simulation(body, material, scheme=Midpoint, kind=ImplicitMPM, dt=0.05, **opt
     else:
         stress = Response(material, body, formulations.Kinematics(U, body).F)
         power = stress_power(stress.P, V, body)
-    R = power - ufl.inner(time.force(body), V) * body.dx
-    if scheme is Midpoint and time.lumping > 0:
-        R += time.lumped(V, body)
+    R = power + time.inertia(V, body)
     newton = {"rtol": 1e-12, "atol": 1e-14, "line_search": True}
     return kind(R, U, time, body, updates={body: stress.updates}, newton=newton)
 

@@ -50,7 +50,7 @@ class Flow:
         b = fem.Constant(water.mesh, (0.0,) * (water.mesh.geometry.dim - 1) + (-g,))
         R = fm.mixed(self.U, self.V, water, self.law, force=fm.density(water) * b)
         R += self.scheme.lumped(self.V, water)
-        force = fm.density(water) * (b - self.scheme.acceleration)
+        force = self.scheme.force(water, b)
         self.R = R + getattr(fm, stabilization)(self.U, self.V, water, self.law, force=force)
         self.sim = ImplicitMPM(
             self.R, self.U, self.scheme, water, bcs=walls(space),

@@ -51,16 +51,12 @@ class Midpoint(TimeScheme):
         self._velocity = 2 * self.increment / self.dt - self.histories["v"]
         self.acceleration = (self._velocity - self.histories["v"]) / self.dt
 
-    def force(self, points: MaterialPoints, b: Any = None) -> Any:
-        """See ``TimeScheme``; without the share of inertia that ``lumped`` has."""
-        force = super().force(points, b)
-        if self.lumping == 0:
-            return force
-        return force - self.lumping * super().force(points)
-
-    def lumped(self, V: Any, points: MaterialPoints) -> ufl.Form:
-        """See ``TimeScheme``; the share epsilon of inertia."""
-        return self.lumping * super().lumped(V, points)
+    def inertia(self, V: Any, points: MaterialPoints) -> ufl.Form:
+        """See ``TimeScheme``; with the effective mass (equation 18), as velocities are mapped."""
+        consistent, lumped = super().inertia(V, points), self.lumped(V, points)
+        if self.lumping in (0, 1):
+            return lumped if self.lumping else consistent
+        return (1 - self.lumping) * consistent + self.lumping * lumped
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
         """None: steps start from no motion, from where Newton's method needs the fewest iterations.

@@ -65,6 +65,17 @@ class TimeScheme(ABC):
         acceleration = -self.acceleration if b is None else b - self.acceleration
         return density(points) * acceleration
 
+    def inertia(self, V: Any, points: MaterialPoints) -> ufl.Form:
+        """Inertia (rho a, w) with the mass of the scheme, here the consistent one.
+
+        For equations without subscales, which take it as part of ``force``.
+
+        Args:
+            V: test function of the unknown's space.
+            points: the body, with the field "mass".
+        """
+        return density(points) * ufl.inner(self.acceleration, parts(V)[0]) * points.dx
+
     def lumped(self, V: Any, points: MaterialPoints) -> ufl.Form:
         """Inertia (rho a, w) with the lumped mass of the points (VMS, section 5).
 
