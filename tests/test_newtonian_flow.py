@@ -288,6 +288,16 @@ def test_a_scheme_of_another_unknown_and_inertia_twice():
         fm.stabilized("asgs", flow.U, flow.V, water, flow.law, scheme=flow.scheme)
 
 
+def test_points_that_would_not_keep_their_volumes_and_other_densities():
+    water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
+    fm.set_initial_state(water, 1e3)
+    flow = Flow(water)
+    with pytest.raises(ValueError, match=r"F, J, dilation, .* \{body: law.updates\(body\)\}"):
+        ImplicitMPM(flow.R, flow.U, flow.scheme, water)
+    with pytest.raises(ValueError, match=r"a density of 1000 kg/m.d in a fluid of 900"):
+        Flow(water, density=900.0)
+
+
 def test_points_turned_inside_out_are_seen():
     water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
     fm.set_initial_state(water, 1e3)

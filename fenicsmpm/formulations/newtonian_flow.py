@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import ufl
 
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.materials.law import positive
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
 
 
 class NewtonianFlow:
@@ -65,6 +67,7 @@ class NewtonianFlow:
         """
         if U is not self.scheme.U:
             raise ValueError("the time scheme of the fluid is one of another unknown")
+        _dilation(k.points)
         rate = ufl.sym(k.grad(self.scheme.velocity()))
         w = ufl.split(V)[0]
         return 2 * self.mu * k.j * ufl.inner(rate, k.grad(w))
@@ -89,8 +92,21 @@ class NewtonianFlow:
         """New fields for ``ImplicitMPM``: volumes stay; "dilation" is the sum of det f - 1 so far.
 
         Args:
-            points: the fluid.
+            points: the fluid (collective).
+
+        Raises:
+            ValueError: for points of another density.
         """
+        found = points["mass"] / points["V_0"]
+        wrong = found[~(np.abs(found / self.density - 1) < _SAME)]
+        error = (
+            ValueError(
+                f"points of a density of {wrong[0]:g} kg/m^d in a fluid of {self.density:g} kg/m^d"
+            )
+            if len(wrong)
+            else None
+        )
+        raise_together(points.mesh.comm, error)
         k = Kinematics(self.scheme.increment, points)
         dilation = _dilation(points) + k.j - 1
         # a point that a step turns inside out must not go unseen
@@ -105,7 +121,13 @@ class NewtonianFlow:
         )
 
 
+_SAME = 1e-6  # relative difference of densities that are meant to be the same
+
+
 def _dilation(points: MaterialPoints) -> Any:
+    """What points have changed in volume by; a sign that they need ``updates``."""
     if "dilation" not in points:
         points.add_field("dilation")
-    return points.field("dilation")
+    field = points.field("dilation")
+    field.history = ("F", "J", "dilation")
+    return field

@@ -56,12 +56,16 @@ def check_updates(
                 if unknown
                 else "updates of points that are neither bodies nor carried: they do not move"
             )
-    for integral in R.point_integrals:
-        for source in integral.lowered.inputs:
-            history = getattr(source.item, "history", ())
-            missing = sorted(set(history) - set(updates.get(integral.points, ())))
-            if integral.points in bodies and missing:
-                raise ValueError(
-                    f"a stress depends on the fields {', '.join(missing)}, which no update "
-                    "renews: pass updates={body: stress.updates}"
-                )
+    used = [
+        (integral.points, source.item)
+        for integral in R.point_integrals
+        for source in integral.lowered.inputs
+    ]
+    used += [(body, body.field(name)) for body in bodies for name in body.field_names]
+    for points, field in used:
+        missing = sorted(set(getattr(field, "history", ())) - set(updates.get(points, ())))
+        if points in bodies and missing:
+            raise ValueError(
+                f"a material needs the fields {', '.join(missing)}, which no update renews: "
+                "pass updates={body: stress.updates}, or of a fluid {body: law.updates(body)}"
+            )
