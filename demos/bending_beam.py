@@ -71,6 +71,7 @@ class Case:
     scheme: str = "Bossak"
     taylor: bool = True  # continue velocities linearly to the nodes
     volumetric: str = "quadratic"  # law of the pressure, of no matter if nu = 0.5
+    transient: bool = False  # subscales with inertia
 
     def label(self):
         return f"h = {self.h:.4g} m, {self.per_cell} points a cell, {self.scheme}"
@@ -118,8 +119,10 @@ def build(case):
     W = formulations.mixed_space(domain, projections=case.stabilization == "osgs")
     U, V = fem.Function(W), ufl.TestFunction(W)
     scheme = getattr(formulations, case.scheme)(U, dt=case.dt)
-    inertia = scheme.force(body)
-    R = formulations.stabilized(case.stabilization, U, V, body, law, force=inertia)
+    subscales = {"scheme": scheme} if case.transient else {}
+    R = formulations.stabilized(
+        case.stabilization, U, V, body, law, force=scheme.force(body), **subscales
+    )
     cells = ActiveCells(body, loads=[tip])
     R += formulations.ghost_penalty(U, V, cells, law)
 
@@ -296,7 +299,7 @@ TABLE = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # tabl
 
 def slides(**options):
     """The beam of Moreno, Contri and Larese, CMN 2022, with Miehe's volumetric law."""
-    return beam(h=0.2, per_cell=16, dt=0.01, volumetric="miehe", **options)
+    return beam(h=0.2, per_cell=16, dt=0.01, volumetric="miehe", transient=True, **options)
 
 
 def main(

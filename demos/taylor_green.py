@@ -58,7 +58,8 @@ def exact(x, t, viscosity):
     return decay * np.column_stack([np.sin(a) * np.cos(b), -np.cos(a) * np.sin(b)])
 
 
-# The pressure is held at one corner: without, its level is free, and the first step an error.
+# The pressure is held at one node: without, its level is free, and the first step an error. Half
+# way up a side it is what it is on average.
 
 
 def build(case, n, per_side):
@@ -78,14 +79,14 @@ def build(case, n, per_side):
         dofs = fem.locate_dofs_geometrical((sub, collapsed), where)
         return fem.dirichletbc(fem.Function(collapsed), dofs, sub)
 
-    def at_corner(x):
-        return np.isclose(x[0], 0) & np.isclose(x[1], 0)
+    def at_node(x):
+        return np.isclose(x[0], 0) & np.isclose(x[1], 0.5)
 
     walls = [
         zero(space.sub(0).sub(k), lambda x, k=k: np.isclose(x[k], 0) | np.isclose(x[k], 1))
         for k in range(2)
     ]
-    bcs = [*walls, zero(space.sub(1), at_corner)]
+    bcs = [*walls, zero(space.sub(1), at_node)]
     updates = {fluid: law.updates(fluid)}
     return ImplicitMPM(R, U, scheme, fluid, bcs=bcs, updates=updates, taylor=True)
 

@@ -37,6 +37,7 @@ from dam_break_implicit import (
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, io, points
+from fenicsmpm.diagnostics import probe
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonError
 
@@ -102,7 +103,7 @@ def run(case, until, output, shots):
     io.say(f"h = {case.h:g} m: {total}, steps of {case.dt:.3g} s")
     columns = {
         "t [s]": lambda: sim.time,
-        "deflection [m]": lambda: probe(corner)[0],
+        "deflection [m]": lambda: probe(corner, "u")[0],
         "water to the left of the block [m^2]": lambda: left_of(water, BLOCK[0][0]),
         "highest water [m]": lambda: water.bounds[1][1],
         "change of the water's volume": lambda: volume_error(water),
@@ -117,10 +118,6 @@ def run(case, until, output, shots):
     except NewtonError as error:
         io.say(f"  it ends at t = {sim.time:.4g} s: {error}")
     return panels
-
-
-def probe(corner):
-    return np.concatenate(corner.mesh.comm.allgather(corner["u"]))[0]
 
 
 def left_of(water, x):

@@ -8,7 +8,7 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import ImplicitMPM, MaterialPoints, diagnostics, forms, points
+from fenicsmpm import ImplicitMPM, MaterialPoints, diagnostics, forms, io, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import PointsOutsideError
@@ -227,8 +227,7 @@ def test_water_and_block_fall_together():
             assert np.allclose(body["v"], [0, -G * sim.time], atol=1e-8)
 
 
-def collapse(comm, steps=40):
-    """Front, height, momentum and kinetic energy of a column that falls to one side."""
+def falling_column(comm, scheme="BDF2", dt=0.01, **options):
     water = points.fill(
         tank((3, 1.2), (30, 12), comm), 2, inside=lambda x: (x[:, 0] < 0.6) & (x[:, 1] < 1)
     )
@@ -240,8 +239,13 @@ def collapse(comm, steps=40):
             held(space, None, lambda x: np.isclose(x[1], 0)),
         ]
 
-    flow = Flow(water, dt=0.01, walls=walls, newton={"rtol": 1e-12})
-    history = []
+    return Flow(water, scheme, dt=dt, walls=walls, newton={"rtol": 1e-12}, **options)
+
+
+def collapse(comm, steps=40):
+    """Front, height, momentum and kinetic energy of a column that falls to one side."""
+    flow = falling_column(comm)
+    water, history = flow.water, []
     for _ in range(steps):
         flow.sim.step()
         energy = diagnostics.kinetic_energy(water)
@@ -254,6 +258,44 @@ def test_a_column_falls_on_several_ranks_as_on_one():
     alone, together = collapse(MPI.COMM_SELF), collapse(COMM)
     assert alone[-1, 0] > 1.2  # it moves by six cells
     assert np.abs(together - alone).max() <= 1e-9 * np.abs(alone).max()
+
+
+def change_of_volume(water):
+    return water["dilation"] @ water["V_0"] / water.volume
+
+
+@pytest.mark.parametrize("scheme", ["BDF2", "Newmark", "GeneralizedAlpha"])
+def test_volume_is_kept(scheme):
+    """That of the whole step, also where equations hold within it."""
+    flow = falling_column(MPI.COMM_SELF, scheme)
+    for _ in range(30):
+        flow.sim.step()
+        assert abs(change_of_volume(flow.water)) < 1e-13
+    assert np.array_equal(flow.water.weight, flow.water["V_0"])
+
+
+def test_volume_is_corrected():
+    """Each step takes back a share of what has gathered."""
+    flow = falling_column(MPI.COMM_SELF, correction=0.1)
+    flow.water["dilation"] = 0.01
+    for n in range(1, 6):
+        flow.sim.step()
+        assert change_of_volume(flow.water) == pytest.approx(0.01 * 0.9**n, rel=1e-9)
+
+
+def test_checkpoint_of_a_fluid(tmp_path):
+    """A run that is taken up again gives the same bits."""
+    flow, again = (falling_column(MPI.COMM_SELF, correction=0.1) for _ in range(2))
+    for _ in range(5):
+        flow.sim.step()
+    io.checkpoint.save(tmp_path / "water.h5", flow.sim)
+    io.checkpoint.restore(tmp_path / "water.h5", again.sim)
+    for _ in range(3):
+        flow.sim.step()
+        again.sim.step()
+    assert np.any(flow.water["dilation"])
+    for name, array in flow.sim.bodies[0].snapshot().items():
+        assert np.array_equal(again.sim.bodies[0][name], array), name
 
 
 # --- bad input -----------------------------------------------------------------------------------
@@ -286,6 +328,15 @@ def test_a_scheme_of_another_unknown_and_inertia_twice():
         fm.mixed(flow.U, flow.V, water, other.law)
     with pytest.raises(ValueError, match="have inertia themselves"):
         fm.stabilized("asgs", flow.U, flow.V, water, flow.law, scheme=flow.scheme)
+
+
+def test_the_lumped_mass_is_one_of_vertices():
+    domain = tank((1, 1), (2, 2), MPI.COMM_SELF)
+    water = points.fill(domain, 2)
+    fm.set_initial_state(water, 1e3)
+    U = fem.Function(fm.mixed_space(domain, degree=2))
+    with pytest.raises(ValueError, match="lumped mass is for linear functions"):
+        fm.BDF2(U, dt=0.1).lumped(ufl.TestFunction(U.function_space), water)
 
 
 def test_points_that_would_not_keep_their_volumes_and_other_densities():

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.forms.slots import leaves_of
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.points import MaterialPoints
 
@@ -65,8 +66,8 @@ def mixed(
 ) -> ufl.Form:
     """Galerkin residual of the mixed formulation, equations 1 and 2 of VMS in weak form.
 
-    (sigma_dev, grad w) + (p, div w) - (rho b, w) per current volume, and (U'(J)/kappa - p/kappa, q)
-    per volume before the step.
+    (sigma_dev, grad w) + (p, div w) - (rho b, w) per current volume, and the law's volumetric
+    residual, of a solid U'(J)/kappa - p/kappa, times q per volume before the step.
 
     Args:
         U: increment of displacement [m] and pressure [Pa] (mean stress, tension positive), first
@@ -128,3 +129,17 @@ def subspaces(V: fem.FunctionSpace) -> list[tuple[fem.FunctionSpace, npt.NDArray
         size = (index_map.size_local + index_map.num_ghosts) * V.dofmap.index_map_bs
         return [(V, np.arange(size, dtype=np.int32))]
     return [V.sub(i).collapse() for i in range(V.num_sub_spaces)]
+
+
+def require_linear(U: fem.Function, what: str) -> None:
+    """Raise ValueError for an unknown of functions that have nodes beside the vertices.
+
+    Args:
+        U: unknown.
+        what: needs linear functions.
+    """
+    element = U.function_space.ufl_element()
+    if any(leaf.element.degree != 1 for leaf in leaves_of(element)):
+        raise ValueError(
+            f"{what} is for linear functions, whose nodes are the vertices, not for {element}"
+        )

@@ -22,8 +22,8 @@ from fenicsmpm.points import MaterialPoints
 class Newmark(TimeScheme):
     """Newmark's method (VMS, section 3.3), and what its relatives have in common with it.
 
-    With J = 1 imposed at every step, the default is only weakly stable: pressures alternate and
-    energy grows. ``GeneralizedAlpha`` is meant for incompressible dynamics.
+    With J = 1 imposed at every step, as in incompressible solids, the default is only weakly
+    stable: pressures alternate and energy grows. ``GeneralizedAlpha`` is meant for these.
 
     Args:
         U: unknown, whose first part is the displacement increment u [m].

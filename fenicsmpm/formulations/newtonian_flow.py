@@ -19,11 +19,11 @@ class NewtonianFlow:
     """Incompressible Newtonian fluid sigma = 2 mu sym(grad v) + p I, for ``mixed`` (CMN).
 
     The velocity is that of the time scheme, the unknown of a step its displacement, as for solids.
-    The pressure keeps the volume of each step, det f = 1, in the weak sense of its functions, and
-    the points keep their volumes. Were they to follow det F, which is not 1 at each of them, then
-    cells whose points have shrunk would resist the pressure around them less and shrink further:
-    water at rest would break up at the rate sqrt(p / rho) / h. For the same reason det F = 1 since
-    the start is not asked for.
+    The pressure keeps the volume of each whole step, det f = 1, in the weak sense of its functions,
+    and points keep theirs. Were these to follow det F, which is not 1 at each of them, then cells
+    whose points have shrunk would resist the pressure around them less and shrink further: water at
+    rest would break up at the rate sqrt(p / rho) / h. For the same reason det F = 1 since the start
+    is not asked for.
 
     Stabilization (after R. Codina, CMAME 191, 2002, in terms of displacements) has for subscales of
     displacement viscosity and inertia, 1 / tau_1 = rho r_a + 2 mu r_v / h^2, with the changes of
@@ -73,8 +73,8 @@ class NewtonianFlow:
         return 2 * self.mu * k.j * ufl.inner(rate, k.grad(w))
 
     def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
-        """Change of volume in the step, and the correction of earlier ones [-]."""
-        change = k.j - 1
+        """Change of volume in the whole step, and the correction of earlier ones [-]."""
+        change = Kinematics(self.scheme.increment, k.points).j - 1
         return change + self.correction * _dilation(k.points) if self.correction > 0 else change
 
     def modulus(self, h_squared: Any) -> Any:

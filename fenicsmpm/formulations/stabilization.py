@@ -11,9 +11,8 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
-from fenicsmpm.forms.slots import leaves_of
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.formulations.mixed import MixedLaw, mixed, parts
+from fenicsmpm.formulations.mixed import MixedLaw, mixed, parts, require_linear
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
 from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
@@ -164,11 +163,7 @@ def osgs(
             f"OSGS needs a space of (u, p, Pi_u, Pi_p), not {len(unknowns)} parts: "
             "use mixed_space(mesh, projections=True)"
         )
-    if any(leaf.element.degree != 1 for leaf in leaves_of(U.function_space.ufl_element())):
-        raise ValueError(
-            "OSGS is for linear functions: its lumped projection by the vertices has no meaning "
-            f"for {U.function_space.ufl_element()}"
-        )
+    require_linear(U, "OSGS")
     Pi_u, Pi_p = unknowns[2:]
     eta_u, eta_p = parts(V)[2:]
     R_u, R_p = residuals(U, points, law, force)
@@ -230,7 +225,8 @@ def residuals(
         force: body force per volume before the step [N/m^d].
 
     Returns:
-        j (rho b + grad p) per volume before the step [N/m^3], and U'(J)/kappa - p/kappa [-].
+        j (rho b + grad p) per volume before the step [N/m^3], and the law's volumetric residual,
+        of a solid U'(J)/kappa - p/kappa [-].
     """
     u, p = parts(U, 2)[:2]
     k = Kinematics(u, points)

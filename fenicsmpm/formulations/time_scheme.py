@@ -11,7 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from fenicsmpm.formulations.mixed import parts, subspaces
+from fenicsmpm.formulations.mixed import parts, require_linear, subspaces
 from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 
@@ -82,7 +82,11 @@ class TimeScheme(ABC):
         Args:
             V: test function of the unknown's space.
             points: the body, with the field "mass".
+
+        Raises:
+            ValueError: for functions that are not linear, which have nodes beside the vertices.
         """
+        require_linear(self.U, "the lumped mass")
         mass = FilledFraction(points, "mass")
         return mass * ufl.inner(self.acceleration, parts(V)[0]) * mass.vertex_dx
 
