@@ -219,7 +219,8 @@ class NewtonSolver:
             if result.iterations == 0 and self.tying is None:
                 self._require_support(A, reference, result)
                 if self._is_new:
-                    require_pressure_level(A, self.U.function_space)
+                    inactive = forms.inactive_dofs(self.J)
+                    require_pressure_level(A, self.U.function_space, self._parts, inactive)
                     self._is_new = False
             try:
                 with result.seconds("linear solver"):

@@ -6,12 +6,18 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 _ROUND_OFF = 1e-9  # of products that do not vanish
 
 
-def require_pressure_level(A: PETSc.Mat, V: fem.FunctionSpace) -> None:
+def require_pressure_level(
+    A: PETSc.Mat,
+    V: fem.FunctionSpace,
+    parts: list[npt.NDArray[np.int64]],
+    inactive: npt.NDArray[np.int32],
+) -> None:
     """Raise ValueError if the tangent does not see a constant pressure (collective).
 
     So it is for incompressible material in a box that it fills, if all of its wall is held: the
@@ -20,13 +26,14 @@ def require_pressure_level(A: PETSc.Mat, V: fem.FunctionSpace) -> None:
     Args:
         A: tangent.
         V: its space; nothing is done if it is not one of displacement and pressure.
+        parts: local dofs of the parts of V.
+        inactive: local dofs without material.
     """
     shapes = [V.sub(i).ufl_element().reference_value_shape for i in range(V.num_sub_spaces)]
     if [len(shape) for shape in shapes[:2]] != [1, 0]:
         return
     n = V.dofmap.index_map.size_local
-    dofs = [np.unique(V.sub(i).dofmap.list) for i in range(2)]
-    dofs = [local[local < n] for local in dofs]
+    dofs = [np.setdiff1d(part[part < n], inactive) for part in parts[:2]]
     constant, changing = A.createVecs()
     product = constant.duplicate()
     constant.array_w[dofs[1]] = 1.0
