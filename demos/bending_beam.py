@@ -71,7 +71,7 @@ class Case:
     scheme: str = "Bossak"
     taylor: bool = True  # continue velocities linearly to the nodes
     volumetric: str = "quadratic"  # law of the pressure, of no matter if nu = 0.5
-    transient: bool = False  # subscales with inertia
+    transient: bool = False  # subscales with inertia, which short steps need
 
     def label(self):
         return f"h = {self.h:.4g} m, {self.per_cell} points a cell, {self.scheme}"
@@ -119,10 +119,10 @@ def build(case):
     W = formulations.mixed_space(domain, projections=case.stabilization == "osgs")
     U, V = fem.Function(W), ufl.TestFunction(W)
     scheme = getattr(formulations, case.scheme)(U, dt=case.dt)
-    subscales = {"scheme": scheme} if case.transient else {}
     R = formulations.stabilized(
-        case.stabilization, U, V, body, law, force=scheme.force(body), **subscales
-    )
+        case.stabilization, U, V, body, law, force=scheme.force(body),
+        scheme=scheme if case.transient else None,
+    )  # fmt: skip
     cells = ActiveCells(body, loads=[tip])
     R += formulations.ghost_penalty(U, V, cells, law)
 
