@@ -74,12 +74,13 @@ class Case:
     transient: bool = False  # subscales with inertia, which short steps need
 
     def label(self):
-        return f"h = {self.h:.4g} m, {self.per_cell} points a cell, {self.scheme}"
+        kind = f"{self.stabilization.upper()}, {self.scheme}"
+        return f"h = {self.h:.4g} m, {self.per_cell} points a cell, {kind}"
 
     def files(self):
         """Name of the files of this case, without endings."""
-        scheme = "" if self.scheme == "Bossak" else f"_{self.scheme}"
-        return f"{self.name}_{self.h:.4g}m_{self.per_cell}{scheme}"
+        kind = f"{self.stabilization}_{self.scheme}_{self.dt:g}s"
+        return f"{self.name}_{self.h:.4g}m_{self.per_cell}_{kind}"
 
 
 def beam(**options):

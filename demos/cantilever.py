@@ -336,14 +336,14 @@ def main(arguments=None):
     add("--short", action="store_true", help="a few steps with fewer points, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     add("-v", "--verbose", action="store_true", help="print a line for each Newton iteration")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(points=4, until=3.0, analysis=["A"])
     options = parser.parse_args(arguments)
     if options.points < 1 or not options.until > 0:
         parser.error("--points and --until must be positive")
-    if (options.study or options.short) and (options.method or options.analysis):
-        parser.error("--study and --short have cases of their own: no --method or --analysis")
+    if options.study and (options.method or options.analysis):
+        parser.error("argument --study: has cases of its own, so leave out --method and --analysis")
     io.show_log(logging.INFO if options.verbose else logging.WARNING)
-    if options.short:
-        return show([Case(per_direction=4)], 3.0, options.output)
     methods = list(METHODS) if options.study else options.method or ["energy-momentum"]
     analyses = ["A"] if options.study else options.analysis or list(LAWS)
     cases = [Case(a, m, per_direction=options.points) for a in analyses for m in methods]

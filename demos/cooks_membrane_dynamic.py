@@ -268,7 +268,7 @@ def main(arguments=None):
     add("--size", type=float, help="edges of the background triangles in m (default: 0.2)")
     add("--points", type=int, help="material points a cell (default: 12)")
     add("--scheme", choices=SCHEMES, default=default.scheme, help="(default: %(default)s)")
-    add("--dt", type=float, default=default.dt, help="time step in s (default: %(default)s)")
+    add("--dt", type=float, help=f"time step in s (default: {default.dt})")
     add("--ghost", type=float, default=default.ghost, help="ghost penalty (default: %(default)s)")
     add("--uncorrected", action="store_true", help="leave the quadrature weights of full cells")
     add("--until", type=float, help="end in s (default: 3)")
@@ -286,21 +286,24 @@ def main(arguments=None):
         for name in ("stabilization", "size", "points", "movie"):
             if getattr(options, name):
                 parser.error(f"argument --study: has cases of its own, so leave out --{name}")
-    until, h, per_cell = options.until, options.size, options.points
+        if "slides" in options.study and options.dt is not None:
+            parser.error("argument --study: slides have a time step of their own")
+    until, h, per_cell, dt = options.until, options.size, options.points, options.dt
+    dt = default.dt if dt is None else dt
     if until is None:
         until = 0.1 if options.short else 7.0 if full else 3.0
     if h is None:
         h = 0.1 if full else 0.5 if options.short else 0.2
     if per_cell is None:
         per_cell = 33 if full else 12
-    if not (h > 0 and options.dt > 0 and until > 0 and options.ghost >= 0):
+    if not (h > 0 and dt > 0 and until > 0 and options.ghost >= 0):
         parser.error("--size, --dt and --until must be positive, --ghost not negative")
     if abs(round(1 / h) * h - 1) > 1e-9:
         parser.error(f"argument --size: must divide 1 m into equal parts, not {h}")
     io.show_log(logging.INFO if options.verbose else logging.WARNING)
     case = Case(
         options.stabilization or default.stabilization, h, per_cell, options.scheme,
-        options.dt, options.ghost, not options.uncorrected,
+        dt, options.ghost, not options.uncorrected,
     )  # fmt: skip
     if options.study is None:
         single(case, until, options.output, options.movie)

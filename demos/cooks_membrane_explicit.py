@@ -183,6 +183,8 @@ def main(arguments=None):
     add("--full", action="store_true", help="60000 steps, all averages, B-splines and uGIMP")
     add("--short", action="store_true", help="a few steps on a coarse grid, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(size=2.0, steps=200)
     options = parser.parse_args(arguments)
     if options.size <= 0 or abs(2 / options.size - round(2 / options.size)) > 1e-9:
         parser.error(f"argument --size: must divide 2 m into equal parts, not {options.size}")
@@ -190,14 +192,11 @@ def main(arguments=None):
         parser.error(f"argument --steps: at least 1, not {options.steps}")
     if options.full and (options.short or options.basis or options.averages or options.steps):
         parser.error("argument --full: it has cases of its own, so only --size goes with it")
-    if options.short and options.steps:
-        parser.error("argument --short: it has steps of its own, so leave out --steps")
     io.show_log(logging.WARNING)
     bases = list(BASES) if options.full else options.basis or ["quadratic"]
     averages = list(AVERAGES) if options.full else options.averages or ["F-bar", "standard"]
-    h = 2.0 if options.short else options.size
-    steps = 200 if options.short else 60000 if options.full else options.steps or 20000
-    cases = [Case(basis, average, h) for basis in bases for average in averages]
+    steps = 60000 if options.full else options.steps or 20000
+    cases = [Case(basis, average, options.size) for basis in bases for average in averages]
     return show(cases, steps, options.output)
 
 

@@ -197,6 +197,8 @@ def main(arguments=None):
     add("--short", action="store_true", help="a few steps with fewer points, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     add("-v", "--verbose", action="store_true", help="print a line for each Newton iteration")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(until=0.3)
     options = parser.parse_args(arguments)
     if not options.until > 0:
         parser.error(f"argument --until: must be positive, not {options.until}")
@@ -208,7 +210,7 @@ def main(arguments=None):
     io.show_log(logging.INFO if options.verbose else logging.WARNING)
     fine = {"basis": "gimp", "h": 0.5, "per_direction": 8, "tying": 0.1}
     if options.short:
-        return show([Case(per_direction=10)], 0.3, options.output)
+        return show([Case(per_direction=10)], options.until, options.output)
     if options.full:
         cases = [Case(), Case(plastic=True), Case(plastic=True, **fine)]
     elif options.study:

@@ -12,9 +12,10 @@
 # - volume that is kept to round-off, and points that stay well spread.
 #
 # The data are those of the slides of Moreno, Contri and Larese (in short: CMN), *A VMS-stabilized
-# mixed formulation for non-linear incompressible solid mechanics using the implicit MPM*, CMN 2022,
-# the reference is J. C. Martin and W. J. Moyce, *An experimental study of the collapse of liquid
-# columns on a rigid horizontal plane*, Phil. Trans. R. Soc. A 244, 1952.
+# mixed formulation for non-linear incompressible solid mechanics problems using the implicit
+# Material Point Method*, 2022; the reference is J. C. Martin and W. J. Moyce, *An experimental
+# study of the collapse of liquid columns on a rigid horizontal plane*, Phil. Trans. R. Soc. A 244,
+# 1952.
 #
 # ## Formulation
 #
@@ -245,16 +246,20 @@ def main(arguments=None):
     add("--full", action="store_true", help="both meshes of the slides, 0.2 and 0.1 m")
     add("--short", action="store_true", help="a few steps, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: output)")
+    given = parser.parse_args(arguments)
+    if given.short:
+        parser.set_defaults(until=0.01)
+    if given.full:
+        parser.set_defaults(size=[0.2, 0.1])
     options = parser.parse_args(arguments)
     if not options.until > 0:
         parser.error(f"argument --until: must be positive, not {options.until}")
-    sizes = [0.2, 0.1] if options.full else options.size
-    for h in sizes:
+    for h in options.size:
         if not (h > 0 and round(0.2 / h) > 0 and abs(0.2 / h - round(0.2 / h)) < 1e-9):
             parser.error(f"argument --size: 0.2 m, or that by an integer, not {h}")
     io.show_log(logging.WARNING)
-    cases = [Case(h, scheme=options.scheme, stabilization=options.stabilization) for h in sizes]
-    return show(cases, 0.01 if options.short else options.until, options.output)
+    kind = {"scheme": options.scheme, "stabilization": options.stabilization}
+    return show([Case(h, **kind) for h in options.size], options.until, options.output)
 
 
 if __name__ == "__main__":

@@ -183,7 +183,11 @@ def main(arguments=None):
     add("--basis", choices=BASES, nargs="+", default=["quadratic"], help="grid functions")
     add("--averages", choices=AVERAGES, nargs="+", default=["F-bar"], help="of J")
     add("--until", type=float, help="s after the failure (default: 1)")
-    add("--full", action="store_true", help="the paper's case: 0.2 m, 311250 points, 5.5 s")
+    add(
+        "--full",
+        action="store_true",
+        help="the paper's case: 0.2 m, 311250 points, 4.5 s after failure",
+    )
     add("--short", action="store_true", help="a few steps on a coarse grid, for a test")
     add("--restart", action="store_true", help="go on from the last checkpoints in the output")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")

@@ -178,14 +178,18 @@ def main(arguments=None):
     add("--full", action="store_true", help="20, 40 and 80 cells, F-bar and standard, both bases")
     add("--short", action="store_true", help="a few steps on a coarse grid, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(speed=5e-4, penetration=0.0004, cells=4)
     options = parser.parse_args(arguments)
     for name in ("cells", "speed", "penetration"):
         value = getattr(options, name)
         if value is not None and not value > 0:
             parser.error(f"argument --{name}: must be positive, not {value}")
     chosen = [name for name in ("basis", "averages", "cells") if getattr(options, name)]
-    if (options.full or options.short) and (chosen or options.full is options.short):
-        parser.error("--full and --short have cases of their own: no other, nor both of them")
+    if options.full and (chosen or options.short):
+        parser.error(
+            "argument --full: has cases of its own, so only --speed and --penetration go with it"
+        )
     io.show_log(logging.WARNING)
     common = {"penetration": options.penetration, "speed": options.speed}
     if options.full:
@@ -195,8 +199,6 @@ def main(arguments=None):
             for basis in BASES
             for averages in ("F-bar", "standard")
         ]
-    elif options.short:
-        cases = [Case("quadratic", "F-bar", 4, 0.0004, 5e-4)]
     else:
         cases = [
             Case(basis, averages, options.cells or default.cells, **common)

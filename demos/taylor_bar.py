@@ -179,6 +179,8 @@ def main(arguments=None):
     add("--short", action="store_true", help="a few steps on a coarse mesh, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     add("-v", "--verbose", action="store_true", help="print a line for each Newton iteration")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(until=3e-6)
     options = parser.parse_args(arguments)
     if not options.until > 0:
         parser.error(f"argument --until: must be positive, not {options.until}")
@@ -188,7 +190,7 @@ def main(arguments=None):
         parser.error("the stress of the mid-point has no plastic state at the end of a step")
     io.show_log(logging.INFO if options.verbose else logging.WARNING)
     if options.short:
-        return show([Case(cells=25, dt=2 * default.dt)], 3e-6, options.output)
+        return show([Case(cells=25, dt=2 * default.dt)], options.until, options.output)
     size = {} if options.full else {"cells": 25, "dt": 2 * default.dt}
     cases = [Case(method, **size) for method in options.method or ["energy-momentum"]]
     return show(cases, options.until, options.output)

@@ -159,14 +159,15 @@ def main(arguments=None):
     add("--until", type=float, default=Case.until, help="end in s (default: %(default)s)")
     add("--short", action="store_true", help="a few steps on the two coarser meshes, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(until=0.02)
     options = parser.parse_args(arguments)
     for name in ("viscosity", "until"):
         if not getattr(options, name) > 0:
             parser.error(f"argument --{name}: must be positive, not {getattr(options, name)}")
     io.show_log(logging.WARNING)
-    until = 0.02 if options.short else options.until
     sizes = list(POINTS)[:2] if options.short else list(POINTS)
-    return show(Case(options.viscosity, options.diagonal, until), sizes, options.output)
+    return show(Case(options.viscosity, options.diagonal, options.until), sizes, options.output)
 
 
 if __name__ == "__main__":

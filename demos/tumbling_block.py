@@ -167,10 +167,12 @@ def main(arguments=None):
     add("--until", type=float, default=END, help="end in s (default: %(default)s)")
     add("--short", action="store_true", help="a few steps, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(until=0.1)
     options = parser.parse_args(arguments)
     if not options.until > 0:
         parser.error("--until must be positive")
-    return show(0.1 if options.short else options.until, options.output)
+    return show(options.until, options.output)
 
 
 if __name__ == "__main__":

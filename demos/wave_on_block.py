@@ -169,6 +169,8 @@ def main(arguments=None):
     add("--until", type=float, default=1.2, help="end in s (default: %(default)s)")
     add("--short", action="store_true", help="a few steps on a coarse mesh, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
+    if parser.parse_args(arguments).short:
+        parser.set_defaults(size=0.2, until=0.02)
     options = parser.parse_args(arguments)
     if not options.until > 0:
         parser.error(f"argument --until: must be positive, not {options.until}")
@@ -176,9 +178,7 @@ def main(arguments=None):
     if not (h > 0 and round(0.2 / h) > 0 and abs(0.2 / h - round(0.2 / h)) < 1e-9):
         parser.error(f"argument --size: 0.2 m, or that by an integer, not {h}")
     io.show_log(logging.WARNING)
-    if options.short:
-        return show(Case(h=0.2), 0.02, options.output)
-    return show(Case(h=options.size), options.until, options.output)
+    return show(Case(h=h), options.until, options.output)
 
 
 if __name__ == "__main__":

@@ -237,7 +237,7 @@ def test_columns_are_filled(name, per_cell):
         ("cooks_membrane_explicit", "--size 0.3"),
         ("cooks_membrane_explicit", "--steps 0"),
         ("cooks_membrane_explicit", "--full --averages F-bar"),
-        ("cooks_membrane_explicit", "--short --steps 5"),
+        ("cooks_membrane_explicit", "--full --steps 5"),
         ("strip_footing", "--cells 0"),
         ("strip_footing", "--full --cells 10"),
         ("strip_footing", "--full --short"),

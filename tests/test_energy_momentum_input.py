@@ -101,6 +101,15 @@ def test_shares_beyond_their_range():
             Midpoint(U, dt=0.1, lumping=lumping)
 
 
+def test_inertia_and_mapping_with_different_masses():
+    body = block()
+    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    V = ufl.TestFunction(U.function_space)
+    with pytest.raises(ValueError, match=r"a share of 0.3 of .* lumping=1, or take scheme.inertia"):
+        Midpoint(U, dt=0.1, lumping=0.3).lumped(V, body)
+    Midpoint(U, dt=0.1, lumping=1.0).lumped(V, body)
+
+
 def test_linear_continuation_needs_the_lumped_mass():
     body = block()
     U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))

@@ -53,10 +53,23 @@ class Midpoint(TimeScheme):
 
     def inertia(self, V: Any, points: MaterialPoints) -> ufl.Form:
         """See ``TimeScheme``; with the effective mass (equation 18), as velocities are mapped."""
-        consistent, lumped = super().inertia(V, points), self.lumped(V, points)
+        consistent, lumped = super().inertia(V, points), super().lumped(V, points)
         if self.lumping in (0, 1):
             return lumped if self.lumping else consistent
         return (1 - self.lumping) * consistent + self.lumping * lumped
+
+    def lumped(self, V: Any, points: MaterialPoints) -> ufl.Form:
+        """See ``TimeScheme``.
+
+        Raises:
+            ValueError: also for lumping < 1, when velocities are mapped with another mass.
+        """
+        if self.lumping < 1:
+            raise ValueError(
+                f"velocities are mapped with a share of {self.lumping:g} of the lumped mass: give "
+                "Midpoint lumping=1, or take scheme.inertia, which has the same share"
+            )
+        return super().lumped(V, points)
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
         """None: steps start from no motion, from where Newton's method needs the fewest iterations.
