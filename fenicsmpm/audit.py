@@ -100,11 +100,13 @@ class AuditedMPM(ImplicitMPM):
         self._nodal_velocity = fem.Expression(self.scheme.grid_velocity(), points)
         self._nodal_motion = fem.Expression(self.scheme.increment, points)
         self._found: dict[str, Balance] = {}
+        self._mass = PETSc.Mat()
 
     def map_to_grid(self) -> None:
         """See ``ImplicitMPM``; then take the balance of the grid."""
         before = self._points_balance()
         super().map_to_grid()
+        self._mass.destroy()  # of a step that failed
         self._mass = self._effective.mass()
         grid = self._grid_balance(self._mass, self.scheme.histories["v"], None)
         self._found = {"points_before": before, "grid_before": grid}

@@ -19,6 +19,7 @@ from dolfinx import fem
 from fenicsmpm import _compat
 from fenicsmpm.forms import FieldUpdates, PointExpression
 from fenicsmpm.formulations import Kinematics, parts, subspaces
+from fenicsmpm.formulations.mixed import require_linear
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
 from fenicsmpm.mapping import Tying, project
 from fenicsmpm.points import MaterialPoints
@@ -127,14 +128,15 @@ class ImplicitMPM:
         if tying is not None and self.bodies != [tying.body]:
             raise ValueError("nodes are tied by the cells that one body fills: give just this body")
         self._projection = None
+        if scheme.lumping > 0:
+            require_linear(U, "mapping of velocities by the lumped mass")
         if scheme.lumping < 1:
             if taylor:
                 raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
-            space, dofs = self._parts[0]
+            space = self._parts[0][0]
             if tying is not None and tying.space is not space:
                 tying = Tying(space, tying.body, tying.cells, tying.threshold)
-            fixed = np.flatnonzero(np.isin(dofs, _compat.fixed_dofs(self.newton.bcs)))
-            self._projection = EffectiveProjection(self.bodies, space, scheme.lumping, tying, fixed)
+            self._projection = EffectiveProjection(self.bodies, space, scheme.lumping, tying)
         for body in self.bodies:
             require_fields(body)
             for name, shape in shapes.items():
@@ -151,7 +153,7 @@ class ImplicitMPM:
             PointExpression(Kinematics(parts(U)[0], body).j, body) for body in self.bodies
         ]
         warn_of_points_that_stay(self.newton.R, moving)
-        check_updates(self.newton.R, self.bodies, moving, updates or {})
+        check_updates(self.newton.R, self.bodies, moving, updates or {}, scheme.share)
         self._updates = {
             points: FieldUpdates(points, self._new_fields(points, updates or {}))
             for points in moving
@@ -165,7 +167,8 @@ class ImplicitMPM:
         if self._projection is None:
             functions |= self.scheme.histories
         else:
-            self._projection.project(self.scheme.histories)
+            fixed = np.isin(self._parts[0][1], _compat.fixed_dofs(self.newton.bcs))
+            self._projection.project(self.scheme.histories, np.flatnonzero(fixed))
         slopes = {"v": "grad_v"} if self.taylor else {}
         project(self.bodies, functions, gradients=slopes)
 
@@ -225,7 +228,7 @@ class ImplicitMPM:
     # --- steps -------------------------------------------------------------------------------
 
     def step(self, dt: float | None = None) -> Step:
-        """Do one step; if it fails, everything is as it was before it (collective).
+        """Do one step; if it fails, points and time are as they were before it (collective).
 
         Args:
             dt: its length [s]; None for ``next_dt``.
@@ -273,7 +276,7 @@ class ImplicitMPM:
         step_length: Callable[[], float] | None = None,
         smallest: float = 1e-3,
     ) -> Iterator[Step]:
-        """Steps until a time; one that fails is tried again with half its length.
+        """Steps until a time; one that cannot be solved is tried again with half its length.
 
         After a success, the step grows again up to the length that it had at first.
 
@@ -288,6 +291,7 @@ class ImplicitMPM:
 
         Raises:
             NewtonError: a step of the smallest length failed as well.
+            LinearSolverError, PointsOutsideError: as ``step``.
             ValueError: for an end that is not finite.
         """
         if not math.isfinite(until):
@@ -334,14 +338,17 @@ class ImplicitMPM:
         self.scheme.memory = rest
 
     def _snapshot(self) -> Any:
-        return [(points, points.snapshot(copy=False)) for points in self._updates]
+        return [
+            (points, points.snapshot(copy=False), points.size_global) for points in self._updates
+        ]
 
     def _restore(self, snapshot: Any) -> None:
-        for points, arrays in snapshot:
-            points.restore(arrays)
+        """Without communication: an error on one rank only must get out of here."""
+        for points, arrays, size_global in snapshot:
+            points.restore(arrays, size_global)
 
     def _start(self) -> None:
-        """Find accelerations at the start by a step of the implicit Euler method; nothing moves.
+        """Find accelerations at the start by a step in which they are constant; nothing moves.
 
         A load that is there from the beginning would otherwise act late by half a step. The step
         has the usual length: where dt is far less than the time that shear waves take through a

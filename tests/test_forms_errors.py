@@ -153,7 +153,7 @@ def test_wrong_formulation():
     with pytest.raises(ValueError, match="projections=True"):
         formulations.osgs(U, V, s.body, law)
     quadratic = formulations.mixed_space(s.mesh, projections=True, degree=2)
-    with pytest.raises(ValueError, match="OSGS is for linear functions"):
+    with pytest.raises(ValueError, match="OSGS is for continuous linear functions"):
         formulations.osgs(fem.Function(quadratic), ufl.TestFunction(quadratic), s.body, law)
     with pytest.raises(ValueError, match=r"f has parts of shapes \[\(\)\]: use mixed_space"):
         formulations.mixed(s.f, s.v, s.body, law)

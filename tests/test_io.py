@@ -122,8 +122,11 @@ def test_functions_that_cannot_be_gathered():
     with pytest.raises(ValueError, match="names of their own"):
         io.gather_functions([p, p])
     quadratic = fem.Function(fem.functionspace(domain, ("Lagrange", 2)), name="q")
-    with pytest.raises(ValueError, match="'q' is not P1"):
+    with pytest.raises(ValueError, match="'q' is not continuous P1"):
         io.gather_functions([quadratic])
+    broken = fem.Function(fem.functionspace(domain, ("DG", 1)), name="d")
+    with pytest.raises(ValueError, match="'d' is not continuous P1"):
+        io.gather_functions([broken])
     with pytest.raises(ValueError, match="another mesh"):
         io.gather_functions([p, functions(unit_mesh("triangle"))[1]])
     with pytest.raises(ValueError, match="no functions"):
@@ -210,6 +213,13 @@ def test_pictures_that_cannot_be_drawn_raise_on_all_ranks(directory, monkeypatch
         io.picture(directory / "no.png", [io.Panel(data, "q")], "q")
     with pytest.raises(ValueError, match="no field 'u'"):
         io.picture(directory / "no.png", [io.Panel(data, "p", displacement="u")], "p")
+    points = io.gather_points(fill(unit_mesh("triangle"), 1))
+    panel = io.Panel(points, "x" if points is None else "id", component=1)
+    if points is not None:
+        points["v"] = np.zeros((points.n_points, 3))
+        panel = io.Panel(points, "v", component=3)
+    with pytest.raises(ValueError, match="components 0 to 2, not 3"):
+        io.picture(directory / "no.png", [panel], "v")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr(pictures, "_needs_x_server", lambda: True)
     monkeypatch.setattr(pictures.shutil, "which", lambda name: None)

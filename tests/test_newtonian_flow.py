@@ -335,7 +335,7 @@ def test_the_lumped_mass_is_one_of_vertices():
     water = points.fill(domain, 2)
     fm.set_initial_state(water, 1e3)
     U = fem.Function(fm.mixed_space(domain, degree=2))
-    with pytest.raises(ValueError, match="lumped mass is for linear functions"):
+    with pytest.raises(ValueError, match="lumped mass is for continuous linear"):
         fm.BDF2(U, dt=0.1).lumped(ufl.TestFunction(U.function_space), water)
 
 

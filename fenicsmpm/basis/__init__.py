@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
-from fenicsmpm.basis.lagrange import LagrangeStencil
+from fenicsmpm.basis.lagrange import LagrangeStencil, is_linear
 from fenicsmpm.basis.lattice_stencil import LatticeStencil
 from fenicsmpm.basis.partition import shared_vertex_partitioner
 from fenicsmpm.basis.stencil import PointStencil
@@ -20,6 +20,7 @@ __all__ = [
     "LagrangeStencil",
     "LatticeStencil",
     "PointStencil",
+    "is_linear",
     "shared_vertex_partitioner",
     "stencil_of",
     "use",

@@ -17,6 +17,19 @@ if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
 
 
+def is_linear(element: Any) -> bool:
+    """Whether a scalar or blocked UFL element is continuous Lagrange of degree 1.
+
+    Args:
+        element: UFL element of a function space.
+    """
+    scalar = getattr(element, "basix_element", None)
+    if scalar is None or element.reference_value_size != element.block_size:
+        return False
+    is_lagrange = scalar.family == basix.ElementFamily.P and not scalar.discontinuous
+    return is_lagrange and scalar.degree == 1
+
+
 class LagrangeStencil:
     """Point stencil of the finite elements of the background mesh: a group is a cell.
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm import _compat
+from fenicsmpm.basis.lagrange import is_linear
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
 from fenicsmpm.basis.stencil import derivative_rows, round_off
@@ -200,7 +201,7 @@ class LatticeStencil:
         nodes = _compat.geometry_dofmap(self.points.mesh)
         blocks = space.dofmap.list
         for leaf in _leaves(element):
-            if not _is_linear(leaf):
+            if not is_linear(leaf):
                 raise ValueError(
                     f"{self.name} functions stand for those of a continuous Lagrange space of "
                     f"degree 1, not of {leaf}: use such a space, or a field of the points"
@@ -265,15 +266,6 @@ def _leaves(element: Any) -> list[Any]:
     if isinstance(element, basix.ufl._MixedElement):
         return [leaf for sub in element.sub_elements for leaf in _leaves(sub)]
     return [element]
-
-
-def _is_linear(leaf: Any) -> bool:
-    """Whether a scalar or blocked element is Lagrange of degree 1."""
-    element = getattr(leaf, "basix_element", None)
-    if element is None or leaf.reference_value_size != leaf.block_size:
-        return False
-    is_lagrange = element.family == basix.ElementFamily.P and not element.discontinuous
-    return is_lagrange and element.degree == 1
 
 
 @numba.njit(cache=True)

@@ -21,6 +21,7 @@ from dolfinx import fem
 from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import Lattice
 from fenicsmpm.lanes import LANES, LINE_LANES, prefetch
+from fenicsmpm.solvers.checks import check_bcs
 
 # Rows that are fetched from memory ahead of the one that is worked on
 _AHEAD = 64
@@ -104,6 +105,7 @@ class Supports:
 
     def __init__(self, nodes: Nodes, V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> None:
         """Find the nodes (collective)."""
+        check_bcs(bcs, V)
         self._V, self._bcs, self._value = V, list(bcs), fem.Function(V)
         dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
         dofs = _compat.fixed_dofs(bcs)

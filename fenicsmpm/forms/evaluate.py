@@ -109,7 +109,8 @@ class FieldUpdates:
     def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
         """New arrays by name, in storage order; the fields stay as they are."""
         n = len(self._points)
-        result = {name: np.empty((n, *shape)) for name, shape in self._shapes.items()}
+        # an expression that is zero throughout has no batches
+        result = {name: np.zeros((n, *shape)) for name, shape in self._shapes.items()}
         for rows, values in self._expression.batches():
             first = 0
             for array in result.values():

@@ -24,7 +24,7 @@ class BDF2(TimeScheme):
         flip: 1 for FLIP, 0 for PIC, or between.
 
     Attributes:
-        dt: time step, a constant that may change from step to step.
+        dt: length of the present step, which the time loop sets.
         histories: grid function of each field that is mapped from points, by the field's name.
         increment: displacement increment u of the step [m].
         acceleration: at the end of the step [m/s^2].

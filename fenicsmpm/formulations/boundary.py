@@ -17,7 +17,7 @@ import ufl
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.mixed import parts
 from fenicsmpm.formulations.stabilization import element_size
-from fenicsmpm.materials import NeoHookean
+from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 
@@ -128,7 +128,7 @@ def penalty_dirichlet(
     U: Any,
     V: Any,
     points: MaterialPoints,
-    material: NeoHookean | float,
+    material: NeoHookean | Hencky | float,
     value: Any = None,
     *,
     factor: float = 30.0,
@@ -144,9 +144,10 @@ def penalty_dirichlet(
         V: test function.
         points: boundary points with initial areas [m^(d-1)]; their field "u" [m] is u_n, and is
             added as zero if there is none.
-        material: law of the body, or a modulus E [Pa].
+        material: law of the body with E, or a modulus E [Pa].
         value: prescribed displacement g from the initial position [m], d components or a UFL vector
-            at the time at which the equations hold; None for zero.
+            at the end of the motion U (second argument of ``ImplicitMPM``'s ``data``); None for
+            zero.
         factor: of the penalty [-]: 10 to 100 give a cantilever the deflection of a fitted mesh,
             more makes cut cells too stiff, as linear functions cannot bend and obey all points.
 
@@ -158,7 +159,7 @@ def penalty_dirichlet(
             displacement of another shape.
     """
     _require_points(points, "a Dirichlet condition")
-    modulus = material.E if isinstance(material, NeoHookean) else material
+    modulus: Any = getattr(material, "E", material)
     for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
         if not 0 < number < np.inf:
             raise ValueError(f"the {what} must be positive and finite: {number}")

@@ -11,7 +11,7 @@ from dolfinx import fem
 from fenicsmpm.formulations.mixed import MixedLaw, parts
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.mapping import ActiveCells
-from fenicsmpm.materials import Hencky, Law, VonMises
+from fenicsmpm.materials import Hencky, VonMises
 from fenicsmpm.points.geometry import cell_geometry
 
 
@@ -39,12 +39,20 @@ def ghost_penalty(
 
     Returns:
         UFL form of rank 1 over facets.
+
+    Raises:
+        ValueError: for a factor that is not positive, or a law without a shear modulus.
     """
     _check(gamma)
     u, *pressure = parts(U)[:2]
     w, *test = parts(V)[:2]
     h, jump = _facets(cells)
-    mu = law.mu if isinstance(law, Law) else law.modulus(h**2)
+    mu = law.modulus(h**2) if hasattr(law, "modulus") else getattr(law, "mu", None)
+    if mu is None:
+        raise ValueError(
+            f"the ghost penalty needs a law with a shear modulus mu, such as NeoHookean, Hencky "
+            f"or VonMises, not {law!r}"
+        )
     penalty = mu * h * ufl.inner(jump(u), jump(w))
     for p, q in zip(pressure, test, strict=True):
         penalty -= h**3 / (2 * mu) * jump(p) * jump(q)

@@ -21,7 +21,9 @@ class Midpoint(TimeScheme):
     Velocities are mapped to the grid with the effective mass (1 - epsilon) M + epsilon M_lumped
     (equations 18 and 26), the same as that of inertia. With the consistent mass and FLIP, mapping
     keeps momenta and the energy that the grid gains (tables 1 and 2). Loads that depend on time are
-    to be taken in the middle of a step.
+    to be taken in the middle of a step, and so are stresses: ``EnergyMomentum``,
+    ``MixedEnergyMomentum``, or those of U / 2. With stresses of the whole U, as in ``mixed``, the
+    method is of first order and damps strongly.
 
     Args:
         U: unknown, whose first part is the displacement increment u [m].
@@ -30,7 +32,7 @@ class Midpoint(TimeScheme):
         lumping: share epsilon of the lumped mass [-].
 
     Attributes:
-        dt: time step, a constant that may change from step to step.
+        dt: length of the present step, which the time loop sets.
         histories: grid function of each field that is mapped from points, by the field's name.
         increment: displacement increment u of the step [m].
         acceleration: in the middle of the step [m/s^2].

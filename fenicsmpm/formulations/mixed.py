@@ -11,7 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from fenicsmpm.forms.slots import leaves_of
+from fenicsmpm.basis import is_linear
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.points import MaterialPoints
 
@@ -138,8 +138,11 @@ def require_linear(U: fem.Function, what: str) -> None:
         U: unknown.
         what: needs linear functions.
     """
-    element = U.function_space.ufl_element()
-    if any(leaf.element.degree != 1 for leaf in leaves_of(element)):
+    V = U.function_space
+    is_mixed = V.num_sub_spaces > 0 and V.dofmap.index_map_bs == 1
+    spaces = [V.sub(i) for i in range(V.num_sub_spaces)] if is_mixed else [V]
+    if not all(is_linear(space.ufl_element()) for space in spaces):
         raise ValueError(
-            f"{what} is for linear functions, whose nodes are the vertices, not for {element}"
+            f"{what} is for continuous linear functions, whose nodes are the vertices, not for "
+            f"{V.ufl_element()}"
         )

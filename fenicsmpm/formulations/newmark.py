@@ -33,7 +33,7 @@ class Newmark(TimeScheme):
         flip: 1 for the trapezoidal FLIP update of the points' velocities, 0 for PIC, or between.
 
     Attributes:
-        dt: time step, a constant that may change from step to step.
+        dt: length of the present step, which the time loop sets.
         histories: grid function of each field that is mapped from points, by the field's name.
         increment: displacement increment of the whole step, u_{n+1} - u_n [m].
         acceleration: at which inertia is taken [m/s^2].
@@ -114,8 +114,8 @@ class Newmark(TimeScheme):
         """Switch to a step that does not use the acceleration before it, or back.
 
         Args:
-            on: whether the next step is to find the acceleration at the start, by the implicit
-                Euler method (beta = 1/2, gamma = 1) at the end of a step.
+            on: whether the next step is to find the acceleration at the start, as a constant one
+                over a step (beta = 1/2, gamma = 1).
         """
         values = (0.5, 1.0, 0.0, 1.0) if on else self._parameters
         for constant, value in zip(

@@ -218,6 +218,9 @@ def residuals(
 ) -> tuple[Any, Any]:
     """Residuals of momentum and of the volumetric law, for linear elements.
 
+    They leave out the divergence of the deviatoric stress: zero on triangles and tetrahedra, and on
+    quadrilaterals and hexahedra small.
+
     Args:
         U: increment of displacement and pressure.
         points: material points.
@@ -227,7 +230,11 @@ def residuals(
     Returns:
         j (rho b + grad p) per volume before the step [N/m^3], and the law's volumetric residual,
         of a solid U'(J)/kappa - p/kappa [-].
+
+    Raises:
+        ValueError: for functions that are not linear.
     """
+    require_linear(U, "stabilization by residuals without second derivatives")
     u, p = parts(U, 2)[:2]
     k = Kinematics(u, points)
     R_u = _pressure_force(k, p)

@@ -26,11 +26,11 @@ class TimeScheme(ABC):
         names: fields of the points that are mapped to the grid.
 
     Attributes:
-        dt: time step, a constant that may change from step to step.
+        dt: length of the present step, which the time loop sets.
         histories: grid function of each field that is mapped from points, by the field's name.
         increment: displacement increment of the whole step [m], set by the scheme.
         acceleration: at which inertia is taken [m/s^2], set by the scheme.
-        share: of a step, at whose end the equations hold.
+        share: of the step that U moves; the equations hold at its end (``Midpoint``: half way).
         lumping: share of the lumped mass in the one by which velocities are mapped to the grid.
 
     Raises:

@@ -22,7 +22,7 @@ import fenicsmpm
 from fenicsmpm.io.atomic import replacing
 from fenicsmpm.io.fingerprint import layout, mesh_fingerprint
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 FORMAT = 1
 
@@ -88,21 +88,21 @@ def save(path: str | Path, sim: Simulation) -> None:
     path = Path(path)
     comm = _mesh(sim).comm
     state = _gather(sim)
-    error: Exception | None = None
-    if state is not None:
+
+    def write() -> None:
+        assert state is not None
         try:
             with replacing(path) as stream:
                 stream.write(_pack(state))
-        except MemoryError as failure:
-            error = failure
         except OSError as failure:
-            error = OSError(
+            raise OSError(
                 failure.errno,
                 f"the checkpoint at t = {sim.time:g} s could not be written, an older one is as "
                 f"it was: {failure.strerror}; make room or choose another path",
                 str(path),
-            )
-    raise_together(comm, error)
+            ) from failure
+
+    do_there(comm, state is not None, write)
 
 
 def restore(path: str | Path, sim: Simulation) -> None:
@@ -128,15 +128,13 @@ def restore(path: str | Path, sim: Simulation) -> None:
     comm = _mesh(sim).comm
     header = _header(sim)
     fields = [_fields(points) for points in _point_sets(sim)]
-    error: Exception | None = None
-    state: _State | None = None
-    if comm.rank == 0:
-        try:
-            state = _read(path, header)
-            _check(path, state, header, fields)
-        except (OSError, MemoryError, CheckpointError) as failure:
-            error = failure
-    raise_together(comm, error)
+
+    def read() -> _State:
+        state = _read(path, header)
+        _check(path, state, header, fields)
+        return state
+
+    state = do_there(comm, comm.rank == 0, read)
     same = comm.bcast(state and state.header["layout"] == header["layout"])
     new = []
     for k, points in enumerate(_point_sets(sim)):

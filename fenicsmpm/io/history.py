@@ -17,7 +17,7 @@ import numpy.typing as npt
 import fenicsmpm
 from fenicsmpm.io.atomic import replacing
 from fenicsmpm.io.series import is_until
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 
 class History:
@@ -50,19 +50,17 @@ class History:
     ) -> None:
         """Write the titles, and the rows that are kept (collective)."""
         self._path, self._columns, self._comm = Path(path).absolute(), dict(columns), comm
-        error: Exception | None = None
-        if comm.rank == 0:
-            try:
-                kept = [] if append_after is None else self._earlier(append_after)
-                lines = [f"# fenicsmpm {fenicsmpm.__version__}\n"]
-                for name, value in (parameters or {}).items():
-                    lines.append(f"# {name} = {' '.join(str(value).split())}\n")
-                lines.append(_line(self._titles()))
-                with replacing(self._path) as stream:
-                    stream.write("".join(lines + kept).encode())
-            except (OSError, ValueError) as failure:
-                error = failure
-        raise_together(comm, error)
+
+        def begin() -> None:
+            kept = [] if append_after is None else self._earlier(append_after)
+            lines = [f"# fenicsmpm {fenicsmpm.__version__}\n"]
+            for name, value in (parameters or {}).items():
+                lines.append(f"# {name} = {' '.join(str(value).split())}\n")
+            lines.append(_line(self._titles()))
+            with replacing(self._path) as stream:
+                stream.write("".join(lines + kept).encode())
+
+        do_there(comm, comm.rank == 0, begin)
 
     def write(self, *arguments: Any) -> None:
         """Append a row (collective).
@@ -75,15 +73,13 @@ class History:
             TypeError: on all ranks, if a function does not give one number.
         """
         values = {title: function(*arguments) for title, function in self._columns.items()}
-        error: Exception | None = None
-        if self._comm.rank == 0:
-            try:
-                row = [_number(title, value) for title, value in values.items()]
-                with open(self._path, "a", encoding="utf-8", newline="") as stream:
-                    stream.write(_line(row))
-            except (OSError, TypeError) as failure:
-                error = failure
-        raise_together(self._comm, error)
+
+        def append() -> None:
+            row = [_number(title, value) for title, value in values.items()]
+            with open(self._path, "a", encoding="utf-8", newline="") as stream:
+                stream.write(_line(row))
+
+        do_there(self._comm, self._comm.rank == 0, append)
 
     def _titles(self) -> list[str]:
         if not self._columns:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 
 def animate(
@@ -28,13 +28,7 @@ def animate(
         ValueError: on all ranks, without any frames, or for a file that is not ``.gif``.
         OSError: on all ranks, for frames that cannot be read or a file that cannot be written.
     """
-    error: Exception | None = None
-    if comm.rank == 0:
-        try:
-            _write(Path(path), frames)
-        except (OSError, ValueError) as failure:
-            error = failure
-    raise_together(comm, error)
+    do_there(comm, comm.rank == 0, lambda: _write(Path(path), frames))
 
 
 def _write(path: Path, frames: Sequence[str | Path]) -> None:

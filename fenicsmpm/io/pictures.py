@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 if TYPE_CHECKING:  # it takes a second to import: only where it is needed
     import pyvista
@@ -52,7 +52,7 @@ class Panel:
         """Numbers to be coloured, one a point or node; on rank 0 only.
 
         Raises:
-            ValueError: for fields that the data do not have.
+            ValueError: for fields or components that the data do not have.
         """
         assert self.data is not None
         if self.field not in self.data.point_data:
@@ -62,6 +62,11 @@ class Panel:
             return values
         if self.component is None:
             return np.linalg.norm(values, axis=1)
+        if not 0 <= self.component < values.shape[1]:
+            raise ValueError(
+                f"field {self.field!r} has the components 0 to {values.shape[1] - 1}, not "
+                f"{self.component}"
+            )
         return values[:, self.component]
 
 
@@ -111,16 +116,14 @@ def picture(
 
     Raises:
         RuntimeError: on all ranks, if nothing can render; says what to install.
-        ValueError: on all ranks, for fields that the data do not have.
+        ValueError: on all ranks, for fields or components that the data do not have.
     """
-    error: Exception | None = None
-    if panels[0].data is not None:
-        try:
-            with _display():
-                _draw(Path(path), panels, label, limits or colour_range(panels), bounds)
-        except (OSError, RuntimeError, ValueError) as failure:
-            error = failure
-    raise_together(comm, error)
+
+    def draw() -> None:
+        with _display():
+            _draw(Path(path), panels, label, limits or colour_range(panels), bounds)
+
+    do_there(comm, panels[0].data is not None, draw)
 
 
 def _draw(

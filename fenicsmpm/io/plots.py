@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import numpy.typing as npt
 
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 Curve = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -39,13 +39,8 @@ def plot(
         OSError: on all ranks, if the file cannot be written.
         ValueError: on all ranks, if the x and y of a curve differ in number.
     """
-    error: Exception | None = None
-    if comm.rank == 0:
-        try:
-            _draw(Path(path), curves, xlabel, ylabel, reference or {})
-        except (OSError, ValueError) as failure:
-            error = failure
-    raise_together(comm, error)
+    known = reference or {}
+    do_there(comm, comm.rank == 0, lambda: _draw(Path(path), curves, xlabel, ylabel, known))
 
 
 def _draw(

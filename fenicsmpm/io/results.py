@@ -20,8 +20,9 @@ from dolfinx import fem, plot
 
 import fenicsmpm
 from fenicsmpm import _compat
+from fenicsmpm.basis import is_linear
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 if TYPE_CHECKING:  # it takes a second to import: only where it is needed
     import pyvista
@@ -39,9 +40,12 @@ def gather_points(points: MaterialPoints) -> pyvista.PolyData | None:
         expects them. None on the other ranks.
     """
     names = ["x", "id", "tag", "weight", *points.field_names]
-    parts = points.mesh.comm.gather({name: np.asarray(points[name]) for name in names})
-    if parts is None:
-        return None
+    comm = points.mesh.comm
+    parts = comm.gather({name: np.asarray(points[name]) for name in names})
+    return do_there(comm, parts is not None, lambda: _point_cloud(names, parts or []))
+
+
+def _point_cloud(names: list[str], parts: list[dict[str, npt.NDArray]]) -> pyvista.PolyData:
     import pyvista
 
     data = {name: np.concatenate([part[name] for part in parts]) for name in names}
@@ -62,7 +66,7 @@ def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredG
 
     Returns:
         On rank 0 the mesh in its input order, each function as point data under its name; vectors
-        have three components. None on the other ranks.
+        have three components and tensors nine. None on the other ranks.
 
     Raises:
         ValueError: for other spaces, several meshes, or names that occur twice.
@@ -75,8 +79,10 @@ def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredG
     order = np.asarray(mesh.topology.original_cell_index)[: len(types)]
     values = {f.name: _at_nodes(f) for f in functions}
     parts = mesh.comm.gather((nodes, x, order, cells, types, values))
-    if parts is None:
-        return None
+    return do_there(mesh.comm, parts is not None, lambda: _grid(list(values), parts or []))
+
+
+def _grid(names: list[str], parts: list[tuple[Any, ...]]) -> pyvista.UnstructuredGrid:
     import pyvista
 
     columns = list(zip(*parts, strict=True))
@@ -86,7 +92,7 @@ def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredG
     cells = cells[by_input]
     cells[:, 1:] = np.searchsorted(nodes, cells[:, 1:])
     result = pyvista.UnstructuredGrid(cells.ravel(), types[by_input], x[first])
-    for name in values:
+    for name in names:
         result.point_data[name] = _in_space(np.concatenate([v[name] for v in columns[5]])[first])
     return result
 
@@ -111,27 +117,22 @@ def write(
         OSError: on all ranks, if the file cannot be written.
         ValueError: on all ranks, if the suffix does not fit the data.
     """
-    error: Exception | None = None
-    if data is not None:
-        try:
-            _save(Path(path), data, parameters or {})
-        except (OSError, ValueError) as failure:
-            error = failure
-    raise_together(comm, error)
+    do_there(comm, data is not None, lambda: _save(Path(path), data, parameters or {}))
 
 
-def _save(path: Path, data: pyvista.DataSet, parameters: Mapping[str, Any]) -> None:
+def _save(path: Path, data: pyvista.DataSet | None, parameters: Mapping[str, Any]) -> None:
     import pyvista
 
+    assert data is not None
     suffix = ".vtp" if isinstance(data, pyvista.PolyData) else ".vtu"
     if path.suffix != suffix:
         raise ValueError(f"{path}: the name of a file of {type(data).__name__} ends in {suffix}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    data = data.copy(deep=False)
-    data.field_data["fenicsmpm version"] = [fenicsmpm.__version__]
+    file: Any = data.copy(deep=False)
+    file.field_data["fenicsmpm version"] = [fenicsmpm.__version__]
     for name, value in parameters.items():
-        data.field_data[name] = [value if isinstance(value, bool | int | float) else str(value)]
-    data.save(path)
+        file.field_data[name] = [value if isinstance(value, bool | int | float) else str(value)]
+    file.save(path)
     if not path.exists():  # VTK says so on standard error only
         raise OSError(f"{path} could not be written")
 
@@ -145,10 +146,10 @@ def _check_functions(functions: Sequence[fem.Function]) -> Any:
         raise ValueError(f"functions need names of their own, not {', '.join(names)}: set f.name")
     for f in functions:
         element = f.function_space.ufl_element()
-        if element.degree != 1 or element.family_name not in ("P", "Q", "Lagrange"):
+        if not is_linear(element):
             raise ValueError(
-                f"function {f.name!r} is not P1 but {element}: interpolate it to P1, or collapse "
-                "the part of a mixed function"
+                f"function {f.name!r} is not continuous P1 but {element}: interpolate it to P1, or "
+                "collapse the part of a mixed function"
             )
         if f.function_space.mesh is not mesh and f.function_space.mesh != mesh:
             raise ValueError(f"function {f.name!r} is on another mesh than {names[0]!r}")
@@ -158,13 +159,13 @@ def _check_functions(functions: Sequence[fem.Function]) -> Any:
 
 
 def _at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
-    """Values at the local geometry nodes, (n_nodes,) or (n_nodes, components)."""
+    """Values at the local geometry nodes, (n_nodes, *shape)."""
     space = f.function_space
     nodes = _compat.geometry_dofmap(space.mesh)
     size = space.dofmap.index_map_bs
     values = np.zeros((len(space.mesh.geometry.x), size))
     values[nodes.ravel()] = f.x.array.reshape(-1, size)[space.dofmap.list.ravel()]
-    return values if f.ufl_shape else values[:, 0]
+    return values.reshape(-1, *f.ufl_shape)
 
 
 def _in_space(values: npt.NDArray) -> npt.NDArray:

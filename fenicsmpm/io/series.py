@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,7 +14,7 @@ from dolfinx import fem
 from fenicsmpm.io.atomic import replacing
 from fenicsmpm.io.results import gather_functions, gather_points, write
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.agreement import do_there
 
 
 class Series:
@@ -54,15 +54,8 @@ class Series:
         self._suffix = "vtp" if isinstance(data, MaterialPoints) else "vtu"
         self._comm = _mesh(self._data).comm
         self._is_clean = False
-        self.times: list[float] = []
-        error: Exception | None = None
-        if self._comm.rank == 0:
-            try:
-                self.times = self._earlier(append_after)
-            except (OSError, ValueError) as failure:
-                error = failure
-        raise_together(self._comm, error)
-        self.times = self._comm.bcast(self.times)
+        earlier = self._on_root(lambda: self._earlier(append_after))
+        self.times: list[float] = self._comm.bcast(earlier)
 
     def write(self, time: float) -> None:
         """Write the data as they are now (collective).
@@ -104,14 +97,8 @@ class Series:
     ) -> None:
         """Nothing is left to be done: each ``write`` leaves complete files."""
 
-    def _on_root(self, action: Any) -> None:
-        error: Exception | None = None
-        if self._comm.rank == 0:
-            try:
-                action()
-            except OSError as failure:
-                error = failure
-        raise_together(self._comm, error)
+    def _on_root(self, action: Callable[[], Any]) -> Any:
+        return do_there(self._comm, self._comm.rank == 0, action)
 
     def _file(self, number: int) -> str:
         """Name of a file as it stands in the list."""

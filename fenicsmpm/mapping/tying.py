@@ -122,6 +122,11 @@ class Tying:
         self._tied.array_w[dofs] = 1.0
         self._tied.array_w[bare] = 1.0
 
+    @property
+    def tied_dofs(self) -> npt.NDArray[np.int64]:
+        """Owned local degrees of freedom that follow others, or are fixed at ill nodes."""
+        return np.flatnonzero(self._tied.array_r)
+
     def extend(self, x: PETSc.Vec) -> None:
         """Overwrite the tied entries of a vector by extrapolation, x = T x (collective)."""
         self.matrix.mult(x, self._work)

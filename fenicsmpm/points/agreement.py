@@ -6,7 +6,12 @@ So a check that may fail on some ranks is done first, and its outcome is agreed 
 else is sent.
 """
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from mpi4py import MPI
+
+T = TypeVar("T")
 
 
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
@@ -25,3 +30,27 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     if comm.allreduce(error is not None, MPI.LOR):
         errors = comm.allgather(error)
         raise error or next(e for e in errors if e is not None)
+
+
+def do_there(comm: MPI.Comm, here: bool, action: Callable[[], T]) -> T | None:
+    """Do something on some ranks, such as writing a file on rank 0; all hear of errors. Collective.
+
+    Args:
+        comm: The communicator of the ranks that have to agree.
+        here: Whether this rank does it.
+        action: What is to be done.
+
+    Returns:
+        What the action returned, None where it was not done.
+
+    Raises:
+        Exception: Whatever the action raised somewhere, on all ranks.
+    """
+    result, error = None, None
+    if here:
+        try:
+            result = action()
+        except Exception as failure:  # of any kind: the other ranks wait
+            error = failure
+    raise_together(comm, error)
+    return result

@@ -273,14 +273,16 @@ class MaterialPoints(PointArrays):
     def _rows(self, which: npt.NDArray) -> dict[str, npt.NDArray]:
         return {name: a[which] for name, a in self._data.items()}
 
-    def restore(self, snapshot: Mapping[str, npt.NDArray]) -> None:
-        """Go back to what the points were at a snapshot, cells, ranks and fields. Collective.
+    def restore(self, snapshot: Mapping[str, npt.NDArray], size_global: int | None = None) -> None:
+        """Go back to what the points were at a snapshot, cells, ranks and fields.
 
         Args:
             snapshot: Of these points; its arrays become theirs.
+            size_global: Number of points on all ranks at the snapshot; None to count them, which is
+                collective.
         """
         self._replace(dict(snapshot))
-        self.size_global = self._comm.allreduce(len(self))
+        self.size_global = self._comm.allreduce(len(self)) if size_global is None else size_global
 
     def _replace(self, data: dict[str, npt.NDArray]) -> None:
         self._data = data

@@ -17,6 +17,7 @@ class PointsOutsideError(ValueError):
     Attributes:
         count: How many, over all ranks.
         total: Number of points that were located, over all ranks.
+        first: Position of the first of them in m, over all ranks.
         indices: Which of this rank's points, int64.
         positions: Their positions in m, shape (len(indices), d).
     """
@@ -37,8 +38,13 @@ class PointsOutsideError(ValueError):
         )
         self.count = count
         self.total = total
+        self.first = first
         self.indices = indices
         self.positions = positions
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """How to make it anew, on another rank."""
+        return type(self), (self.count, self.total, self.first, self.indices, self.positions)
 
 
 def find_cells(

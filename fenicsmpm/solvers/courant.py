@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import SupportsFloat
 
 from mpi4py import MPI
 
@@ -58,8 +59,13 @@ class CourantStep:
             raise ValueError("Courant's step needs a body and its law")
         self._moduli = {}
         for body, law in laws.items():
-            modulus = float(law.wave_speed_modulus if isinstance(law, Law) else law)
-            self._moduli[body] = positive(modulus, "M", "P-wave modulus", "Pa")
+            modulus = law.wave_speed_modulus if isinstance(law, Law) else law
+            if not isinstance(modulus, SupportsFloat):
+                raise ValueError(
+                    "Courant's step needs a law at points, such as NeoHookean(..).pointwise(), or "
+                    f"a P-wave modulus [Pa], not {law!r}"
+                )
+            self._moduli[body] = positive(float(modulus), "M", "P-wave modulus", "Pa")
         self.factor, self.smallest, self.largest = factor, smallest, largest
         self.history: list[float] = []
         mesh = next(iter(laws)).mesh

@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat, forms
+from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 from fenicsmpm.solvers.pressure_level import require_pressure_level
 from fenicsmpm.solvers.stopwatch import Stopwatch
@@ -32,15 +33,19 @@ class NewtonError(RuntimeError):
     """Newton's method failed; the unknown has its old values again.
 
     Attributes:
-        reason: "diverged", "not finite", "linear solver" or "load without material".
+        reason: "diverged", "not finite", "linear solver", "load without material" or "inverted".
         residuals: residual norms so far.
     """
 
     def __init__(self, reason: str, message: str, residuals: Sequence[float]) -> None:
         """Join reason and message."""
         super().__init__(f"Newton's method failed, {reason}: {message}")
-        self.reason = reason
+        self.reason, self.message = reason, message
         self.residuals = list(residuals)
+
+    def __reduce__(self) -> Any:
+        """How to make it anew, on another rank."""
+        return type(self), (self.reason, self.message, self.residuals)
 
 
 @dataclass
@@ -139,7 +144,7 @@ class NewtonSolver:
             ValueError: for Dirichlet conditions on another space, or on no degrees of freedom, and
                 for a pressure whose level nothing holds.
         """
-        self._check_bcs()
+        check_bcs(self.bcs, self.U.function_space)
         result = NewtonResult()
         with result.seconds("matrix pattern"):
             self._prepare_matrix()
@@ -172,19 +177,6 @@ class NewtonSolver:
         self.U.x.array[:owned] = self._step.array_r
         self.U.x.scatter_forward()
 
-    def _check_bcs(self) -> None:
-        for bc in self.bcs:
-            if not _compat.is_on(bc, self.U.function_space):
-                raise ValueError(
-                    "Dirichlet condition on another function space than the unknown's: give "
-                    "dirichletbc the space of the unknown, or a part of it, W.sub(i)"
-                )
-            if self.J.mesh.comm.allreduce(len(_compat.bc_dofs(bc))) == 0:
-                raise ValueError(
-                    "Dirichlet condition on no degrees of freedom: check the marker that "
-                    "should find them"
-                )
-
     def _iterate(self, result: NewtonResult) -> None:
         self._stagnates = False
         with result.seconds("assembly"):
@@ -216,10 +208,12 @@ class NewtonSolver:
                 with result.seconds("assembly"):
                     norm = self._lifted_norm()
                 reference = max(reference, norm)
-            if result.iterations == 0 and self.tying is None:
-                self._require_support(A, reference, result)
+            if result.iterations == 0:
+                self._require_support(reference, result)
                 if self._is_new:
                     inactive = forms.inactive_dofs(self.J)
+                    if self.tying is not None:
+                        inactive = np.union1d(inactive, self.tying.tied_dofs)
                     require_pressure_level(A, self.U.function_space, self._parts, inactive)
                     self._is_new = False
             try:
@@ -237,9 +231,9 @@ class NewtonSolver:
             reduction = norm / previous if previous > 0.0 else 1.0
             logger.info("  %3d    %.6e    %.1e    %g", result.iterations, norm, reduction, length)
 
-    def _require_support(self, A: PETSc.Mat, norm: float, result: NewtonResult) -> None:
+    def _require_support(self, norm: float, result: NewtonResult) -> None:
         """No load where there is nothing to carry it, which no step would change (collective)."""
-        rows = forms.petsc.unreached_rows(A)
+        rows = forms.petsc.unreached_rows(self._A)
         loads = np.zeros(len(self._b.array_r))
         loads[rows] = self._b.array_r[rows]
         for bc in self.bcs:
@@ -256,7 +250,7 @@ class NewtonSolver:
         raise NewtonError(
             "load without material",
             f"|R| = {size:.3e} on nodes of cells without a body, most at ({position}); give "
-            "ActiveCells(body, loads=[..]) to the ghost penalty or use mapping.Tying",
+            "ActiveCells(body, loads=[..]) to the ghost penalty or to mapping.Tying",
             result.residuals,
         )
 

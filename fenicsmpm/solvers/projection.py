@@ -48,7 +48,6 @@ class EffectiveProjection:
         space: of the grid functions, blocked Lagrange.
         lumping: share epsilon of the lumped mass [-].
         tying: tied nodes of the space; None for none.
-        fixed: local degrees of freedom of Dirichlet conditions, which are not tied.
 
     Raises:
         ValueError: for tied nodes of another space.
@@ -60,7 +59,6 @@ class EffectiveProjection:
         space: fem.FunctionSpace,
         lumping: float,
         tying: Tying | None = None,
-        fixed: npt.ArrayLike = (),
     ) -> None:
         """Compile the mass (collective)."""
         if tying is not None and tying.space is not space:
@@ -68,7 +66,7 @@ class EffectiveProjection:
                 f"nodes are tied in the space of the grid functions, {space}, not in {tying.space}"
             )
         self.point_sets, self.space, self.lumping = list(point_sets), space, lumping
-        self._tying, self._fixed = tying, fixed
+        self._tying = tying
         # all components have the same mass
         scalars, dofs = space.sub(0).collapse()
         # dolfinx 0.11 gives a list with one array
@@ -96,11 +94,12 @@ class EffectiveProjection:
         bs = self.space.dofmap.index_map_bs
         return _operator(_ByComponent(A, self._blocks, bs), self.space)
 
-    def project(self, functions: Mapping[str, fem.Function]) -> None:
+    def project(self, functions: Mapping[str, fem.Function], fixed: npt.ArrayLike = ()) -> None:
         """Set functions to the projections of fields (collective).
 
         Args:
             functions: of the space, by the field's name.
+            fixed: local degrees of freedom of Dirichlet conditions, which are not tied.
 
         Raises:
             LinearSolverError: if there is no such projection; the functions are as before.
@@ -110,7 +109,7 @@ class EffectiveProjection:
         if self._tying is not None:
             bs = self.space.dofmap.index_map_bs
             unreached = self._blocks[self._unreached][:, None] * bs + np.arange(bs)
-            self._tying.update(self._fixed, unreached.ravel())
+            self._tying.update(fixed, unreached.ravel())
             operator = _operator(_Tied(A, self._tying), self.space)
         results = {}
         try:

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: MIT
+"""What would go wrong in silence, or leave other ranks waiting, is an error that says why."""
+
+import pickle
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from energy_bodies import MATERIALS, block
+
+from fenicsmpm import ImplicitMPM, diagnostics, explicit, forms, formulations, io, points
+from fenicsmpm.audit import AuditedMPM
+from fenicsmpm.mapping import ActiveCells, Tying
+from fenicsmpm.materials import Hencky, NeoHookean
+from fenicsmpm.points import PointsOutsideError
+from fenicsmpm.points.agreement import do_there
+from fenicsmpm.solvers import CourantStep, NewtonError, NewtonSolver
+
+COMM = MPI.COMM_WORLD
+
+
+def square(n=4, comm=COMM):
+    domain = mesh.create_unit_square(comm, n, n)
+    body = points.fill(domain, 3)
+    formulations.set_initial_state(body, 2.0)
+    return domain, body
+
+
+def held(space, where):
+    """No displacement where a condition holds, in a space of displacements or a mixed one."""
+    part = space if space.dofmap.index_map_bs > 1 else space.sub(0)
+    if part is space:
+        dofs = fem.locate_dofs_geometrical(space, where)
+        return fem.dirichletbc(np.zeros(space.mesh.geometry.dim), dofs, space)
+    V = part.collapse()[0]
+    return fem.dirichletbc(fem.Function(V), fem.locate_dofs_geometrical((part, V), where), part)
+
+
+def on_the_wall(x):
+    return np.any(np.isclose(x[:2], 0) | np.isclose(x[:2], 1), axis=0)
+
+
+# --- spaces --------------------------------------------------------------------------------------
+
+
+def test_functions_that_are_not_linear():
+    """Lumped sums of quadratic functions are zero or negative at vertices."""
+    domain, body = square(comm=MPI.COMM_SELF)
+    U = fem.Function(formulations.mixed_space(domain, degree=2))
+    V, law = ufl.TestFunction(U.function_space), NeoHookean(1.0, 0.3)
+    scheme = formulations.Bossak(U, dt=0.1)
+    R = formulations.mixed(U, V, body, law, force=scheme.force(body))
+    with pytest.raises(ValueError, match="mapping of velocities by the lumped mass is for cont"):
+        ImplicitMPM(R, U, scheme, body)
+    with pytest.raises(ValueError, match="without second derivatives is for continuous linear"):
+        formulations.asgs(U, V, body, law)
+
+
+def test_tensors_and_vectors_on_the_grid():
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    G = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2, 2))), name="G")
+    G.interpolate(lambda x: np.vstack([x[0], x[1], 2 * x[0], 3 * x[1]]))
+    grid = io.gather_functions([G])
+    x, y = grid.points[:, 0], grid.points[:, 1]
+    zero = 0 * x
+    expected = np.column_stack([x, y, zero, 2 * x, 3 * y, zero, zero, zero, zero])
+    assert grid["G"] == pytest.approx(expected)
+
+
+# --- time ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("material", ["Hencky", "plastic"])
+def test_stresses_of_another_time_than_their_state(material):
+    body = block()
+    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    V = ufl.TestFunction(U.function_space)
+    scheme = formulations.GeneralizedAlpha(U, dt=0.1)
+    stress = formulations.EnergyMomentum(MATERIALS[material], body, U)
+    R = stress.power(V) + scheme.inertia(V, body)
+    with pytest.raises(ValueError, match="GeneralizedAlpha cannot be used with it"):
+        ImplicitMPM(R, U, scheme, body, updates={body: stress.updates})
+
+
+@pytest.mark.parametrize("scheme", ["Midpoint", "Newmark", "BDF2"])
+def test_supports_that_move_along(scheme):
+    """A penalty takes the displacement at the end of the motion, with any scheme."""
+    domain = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (3, 1)], [12, 4])
+    body = points.fill(domain, 3, inside=lambda x: x[:, 0] < 1)
+    edge = points.on_facets(domain, lambda x: np.isclose(x[:, 0], 0))
+    formulations.set_initial_state(body, 2.0, lambda x: np.tile((1.0, 0.0), (len(x), 1)))
+    space = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    U, V = fem.Function(space), ufl.TestFunction(space)
+    time = getattr(formulations, scheme)(U, dt=0.05)
+    law = Hencky(100.0, 0.3)
+    stress = formulations.Response(law, body, formulations.Kinematics(U, body).F)
+    g = fem.Constant(domain, np.zeros(2))
+
+    def data(start, end):
+        g.value[0] = end
+
+    R = formulations.stress_power(stress.P, V, body) + time.inertia(V, body)
+    R += formulations.penalty_dirichlet(U, V, edge, law, g)
+    sim = ImplicitMPM(R, U, time, body, carried=[edge], data=data, newton={"atol": 1e-12})
+    for _ in range(4):
+        sim.step()
+        assert body["v"] == pytest.approx(np.tile((1.0, 0.0), (len(body), 1)), abs=1e-9)
+        assert edge["u"][:, 0] == pytest.approx(sim.time, abs=1e-10)
+
+
+# --- tied nodes ----------------------------------------------------------------------------------
+
+
+def test_conditions_replaced_between_steps():
+    """What is no longer held is tied in the mapping, too."""
+    body = block()
+    space = fem.functionspace(body.mesh, ("Lagrange", 1, (2,)))
+    U, V = fem.Function(space), ufl.TestFunction(space)
+    body["v"] = (1.0, 0.0)
+    scheme = formulations.Midpoint(U, dt=0.05)
+    stress = formulations.EnergyMomentum(Hencky(100.0, 0.3), body, U)
+    left = body.x[:, 0].min() + 0.3
+    sim = AuditedMPM(
+        stress.power(V) + scheme.inertia(V, body), U, scheme, body,
+        bcs=[held(space, lambda x: x[0] < left)], updates={body: stress.updates},
+        newton={"tying": Tying(space, body, ActiveCells(body)), "atol": 1e-12},
+    )  # fmt: skip
+    sim.newton.bcs = []
+    momentum = diagnostics.momentum(body)
+    sim.step()
+    mapped = sim.audit.changes["map to the grid"]
+    assert np.abs(mapped.momentum).max() < 1e-12 * np.abs(momentum).max()
+    assert body["v"] == pytest.approx(np.tile((1.0, 0.0), (len(body), 1)), abs=1e-9)
+
+
+@pytest.mark.mpi
+def test_pressure_without_a_level_and_tied_nodes():
+    domain, body = square(8)
+    space = formulations.mixed_space(domain)
+    U, V = fem.Function(space), ufl.TestFunction(space)
+    R = formulations.stabilized("asgs", U, V, body, NeoHookean(1.0, 0.5))
+    b = ufl.as_vector((0.0, -1.0))
+    R -= ufl.inner(b, ufl.split(V)[0]) * body.dx
+    newton = NewtonSolver(
+        R, U, [held(space, on_the_wall)], tying=Tying(space, body, ActiveCells(body))
+    )
+    with pytest.raises(ValueError, match="nothing holds the level of the pressure"):
+        newton.solve()
+
+
+@pytest.mark.mpi
+def test_load_without_material_and_tied_nodes():
+    domain = mesh.create_rectangle(COMM, [(0, 0), (3, 1)], [12, 4])
+    body = points.quadrature(domain, 2, inside=lambda x: x[:, 0] < 1)
+    edge = points.on_curve(domain, (2.55, 0.4), (2.55, 0.5), spacing=0.1)
+    space = formulations.mixed_space(domain)
+    U, V = fem.Function(space), ufl.TestFunction(space)
+    R = formulations.stabilized("asgs", U, V, body, NeoHookean(1e3, 0.3))
+    R += formulations.dead_load(V, edge, (1.0, 0.0))
+    bcs = [held(space, lambda x: np.isclose(x[0], 0))]
+    with pytest.raises(NewtonError, match="load without material") as caught:
+        NewtonSolver(R, U, bcs, tying=Tying(space, body, ActiveCells(body))).solve()
+    assert "to the ghost penalty or to mapping.Tying" in str(caught.value)
+
+
+# --- explicit supports ---------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["another space", "nowhere"])
+def test_explicit_supports(kind):
+    domain = mesh.create_unit_square(COMM, 4, 4, mesh.CellType.quadrilateral)
+    body, law = points.fill(domain, 2), Hencky(1.0, 0.3)
+    explicit.set_initial_state(body, law, 1.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    if kind == "nowhere":
+        bc = held(V, lambda x: x[0] > 7)
+        message = "on no degrees of freedom"
+    else:
+        other = fem.functionspace(domain, ("Lagrange", 1))
+        dofs = fem.locate_dofs_geometrical(other, lambda x: np.isclose(x[1], 0))
+        bc = fem.dirichletbc(0.0, dofs, other)
+        message = "another function space"
+    with pytest.raises(ValueError, match=message):
+        explicit.ExplicitMPM(V, {body: law}, bcs=[bc])
+
+
+# --- several ranks -------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_state_is_restored_by_one_rank_alone():
+    """An error on one rank only must get out of a step, instead of waiting for the others."""
+    domain, body = square()
+    U = fem.Function(formulations.mixed_space(domain))
+    scheme = formulations.Bossak(U, dt=0.1)
+    R = formulations.mixed(
+        U, ufl.TestFunction(U.function_space), body, NeoHookean(1.0, 0.3),
+        force=scheme.force(body),
+    )  # fmt: skip
+    sim = ImplicitMPM(R, U, scheme, body)
+    before, size = sim._snapshot(), body.size_global
+    if COMM.rank == 0:
+        body.assign({"v": body["v"] + 3.0})
+        sim._restore(before)
+        assert not np.any(body["v"])
+    COMM.barrier()
+    assert body.size_global == size
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [IndexError, ImportError, KeyError, OSError])
+def test_errors_of_one_rank_are_those_of_all(kind):
+    def fail():
+        raise kind("what went wrong")
+
+    with pytest.raises(kind, match="what went wrong"):
+        do_there(COMM, COMM.rank == COMM.size - 1, fail)
+    assert do_there(COMM, COMM.rank == 0, lambda: 3) == (3 if COMM.rank == 0 else None)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        NewtonError("diverged", "not at all", [1.0, 2.0]),
+        PointsOutsideError(1, 2, np.zeros(2), np.array([1]), np.zeros((1, 2))),
+    ],
+)
+def test_errors_travel_between_ranks(error):
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is type(error)
+    assert str(copy) == str(error)
+
+
+# --- arguments -----------------------------------------------------------------------------------
+
+
+def test_laws_of_the_wrong_kind():
+    domain, body = square(comm=MPI.COMM_SELF)
+    U = fem.Function(formulations.mixed_space(domain))
+    V = ufl.TestFunction(U.function_space)
+    with pytest.raises(ValueError, match="a law with a shear modulus mu"):
+        formulations.ghost_penalty(U, V, ActiveCells(body), NeoHookean(1.0, 0.3).pointwise())
+    with pytest.raises(ValueError, match=r"such as NeoHookean\(..\).pointwise\(\), or a P-wave"):
+        CourantStep({body: NeoHookean(1.0, 0.3)}, 1.0)
+
+
+def test_new_fields_that_are_zero():
+    _, body = square(comm=MPI.COMM_SELF)
+    body["v"] = 7.0
+    zero = 0.0 * body.field("v")
+    assert not np.any(forms.FieldUpdates(body, {"v": zero}).evaluate()["v"])
