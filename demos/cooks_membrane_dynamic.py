@@ -177,7 +177,7 @@ def turning_points(history):
     t, y = history[:, 0], history[:, 2]
     found = []
     for k in range(1, len(t) - 1):
-        near = y[max(0, k - 8) : k + 9]
+        near = y[np.abs(t - t[k]) < 0.21]  # s; turns of noise are not meant
         if y[k] in (near.max(), near.min()) and (y[k] - y[k - 1]) * (y[k + 1] - y[k]) < 0:
             a, b, c = np.polyfit(t[k - 1 : k + 2] - t[k], y[k - 1 : k + 2], 2)
             found.append((t[k] - b / (2 * a), c - b**2 / (4 * a)))
