@@ -55,8 +55,6 @@ def test_functions_that_are_not_linear():
     R = formulations.mixed(U, V, body, law, force=scheme.force(body))
     with pytest.raises(ValueError, match="mapping of velocities by the lumped mass is for cont"):
         ImplicitMPM(R, U, scheme, body)
-    with pytest.raises(ValueError, match="without second derivatives is for continuous linear"):
-        formulations.asgs(U, V, body, law)
 
 
 def test_tensors_and_vectors_on_the_grid():
