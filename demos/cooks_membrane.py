@@ -101,7 +101,7 @@ class Solution:
     iterations: int
 
 
-def solve(n, stabilization, nu=0.5):
+def solve(n, stabilization, nu):
     domain = membrane(n)
     points = quadrature(domain, degree=2)
     law = NeoHookean(YOUNG, nu)

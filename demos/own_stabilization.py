@@ -125,7 +125,7 @@ def compare(sizes, output):
     tips = {name: [] for name in METHODS}
     panels = []
     for n, name in io.progress([(n, name) for n in sizes for name in METHODS], "own forms"):
-        solution = solve(n, METHODS[name])
+        solution = solve(n, METHODS[name], nu=0.5)
         tip = solution.tip
         tips[name].append(tip)
         to_asgs = tip / tips["asgs"][-1] - 1

@@ -31,7 +31,9 @@ TIPS = {  # m, an independent prototype
 @pytest.mark.mpi
 @pytest.mark.parametrize("n", [8, 16])
 def test_cooks_membrane(n):
-    solutions = {name: cooks_membrane.solve(n, cooks_membrane.METHODS[name]) for name, _ in TIPS}
+    solutions = {
+        name: cooks_membrane.solve(n, cooks_membrane.METHODS[name], 0.5) for name, _ in TIPS
+    }
     for name, solution in solutions.items():
         assert solution.tip == pytest.approx(TIPS[name, n], abs=6e-5)
         assert 3 <= solution.iterations <= 4
@@ -40,7 +42,7 @@ def test_cooks_membrane(n):
 
 def test_pressure_jumps_only_without_stabilization():
     def jumps(name):
-        p = cooks_membrane.solve(8, cooks_membrane.METHODS[name]).p.x.array
+        p = cooks_membrane.solve(8, cooks_membrane.METHODS[name], 0.5).p.x.array
         return np.percentile(p, 90) - np.percentile(p, 10)
 
     # the applied traction is 0.0625 Pa
