@@ -49,7 +49,7 @@ from fenicsmpm.solvers import NewtonError
 WIDTH, HEIGHT = 1.0, 2.0  # of the water, m
 BOX = (6.0, 2.4)  # of the background mesh, m
 DENSITY, VISCOSITY, GRAVITY = 1000.0, 1e-3, 9.81  # kg/m^3, Pa s, m/s^2
-SCHEMES = ("BDF2", "Newmark", "GeneralizedAlpha")
+SCHEMES = ("BDF2", "Newmark", "Bossak", "GeneralizedAlpha")
 
 # Martin and Moyce, for a column twice as high as wide: the front z by z/a (table 2) at times
 # t sqrt(2 g / a), and the residual height by its first value (table 6) at times t sqrt(g / a)
@@ -127,17 +127,22 @@ def build(case):
     )
 
 
-# The front is the foremost point, the residual height that of the points in the first cells. Volume
-# is accounted for twice: by the sum of det f - 1 over points and steps, and by the water that finds
-# more than the volume around its nodes taken (both as shares of all of it).
+# The front is where all but a thousandth of the water has been left behind, a film of a centimetre
+# over 0.2 m: single points run ahead of the tongue like spray, the further the smaller they are.
+# The foremost one is recorded, too. The residual height is that of the points in the first cells.
+# Volume is accounted for twice: by the sum of det f - 1 over points and steps, and by the water
+# that finds more than the volume around its nodes taken (both as shares of all of it).
 
 
 def heights(water, h):
-    """Front and height of the column at the wall [m]."""
-    x = water.x
-    at_wall = x[x[:, 0] < h, 1]
-    top = water.mesh.comm.allreduce(at_wall.max(initial=0.0), MPI.MAX)
-    return water.bounds[1][0], top
+    """Front, foremost point, and height of the column at the wall [m]."""
+    comm, (x, y) = water.mesh.comm, water.x.T
+    x, volume = (np.concatenate(comm.allgather(values)) for values in (x, water["V_0"]))
+    order = np.argsort(-x, kind="stable")
+    ahead = np.cumsum(volume[order])
+    front = x[order[np.searchsorted(ahead, 1e-3 * ahead[-1])]]
+    top = comm.allreduce(y[water.x[:, 0] < h].max(initial=0.0), MPI.MAX)
+    return front, x[order[0]], top
 
 
 def volume_error(water):
@@ -186,8 +191,9 @@ def pressure(water):
 
 
 def deviations(table):
-    """Largest deviations of front and residual height, as far as the run goes."""
-    t, front, height = table[:, 0], table[:, 1] / WIDTH, table[:, 2] / HEIGHT
+    """Largest deviations of front, foremost point and residual height, as far as the run goes."""
+    t, front, foremost = table[:, 0], table[:, 1] / WIDTH, table[:, 2] / WIDTH
+    height = table[:, 3] / HEIGHT
     rate = np.sqrt(GRAVITY / WIDTH)
 
     def difference(reference, values, factor):
@@ -197,18 +203,20 @@ def deviations(table):
         return np.interp(times[done], t, values) - expected[done], expected[done]
 
     ahead, place = difference(FRONT, front, np.sqrt(2))
+    ahead_of_all, _ = difference(FRONT, foremost, np.sqrt(2))
     higher, _ = difference(RESIDUAL, height, 1.0)
-    return np.abs(ahead / place).max(initial=0.0), np.abs(higher).max(initial=0.0)
+    shares = ahead / place, ahead_of_all / place, higher
+    return [np.abs(share).max(initial=0.0) for share in shares]
 
 
 def show(cases, until, output):
-    columns = {"cells": "s", "until [s]": ".3g", "front": ".1%", "residual height": ".1%"}
-    columns |= {"change of volume": "+.1e", "crowded": ".1%"}
+    columns = {"cells": "s", "until [s]": ".3g", "front": ".1%", "foremost": ".1%"}
+    columns |= {"residual height": ".1%", "change of volume": "+.1e", "crowded": ".1%"}
     tables, rows = {}, io.Table(columns)
     for case in cases:
         table, panels = run(case, until, (0.25, 0.5, 0.85))
         tables[case.label()] = table
-        most = np.abs(table[:, 3:]).max(axis=0)
+        most = np.abs(table[:, 4:]).max(axis=0)
         rows.row(case.label(), table[-1, 0], *deviations(table), *most)
         if panels:
             path = output / f"{case.files()}.png"
@@ -224,7 +232,7 @@ def plot(output, tables):
     fronts, residuals = {}, {}
     for label, table in tables.items():
         fronts[label] = (table[:, 0] * np.sqrt(2) * rate, table[:, 1] / WIDTH)
-        residuals[label] = (table[:, 0] * rate, table[:, 2] / HEIGHT)
+        residuals[label] = (table[:, 0] * rate, table[:, 3] / HEIGHT)
     data = {"Martin and Moyce": tuple(FRONT.T), "Koshizuka and Oka": tuple(OTHERS.T)}
     path = output / "dam_break_implicit_front.png"
     io.plot(path, fronts, "t sqrt(2 g / a)", "front z / a", reference=data)

@@ -120,8 +120,16 @@ def test_own_stabilization(tmp_path):
     assert tip["gradient_jumps"] == pytest.approx(tip["asgs"], rel=0.02)
 
 
-def test_dynamic_cooks_membrane(tmp_path):
-    case = cooks_membrane_dynamic.Case(h=0.2, per_cell=12)
+@pytest.mark.parametrize(
+    "case",
+    [
+        cooks_membrane_dynamic.Case(h=0.2, per_cell=12),
+        cooks_membrane_dynamic.Case(h=0.2, per_cell=12, tied=True),
+        cooks_membrane_dynamic.Case(h=0.2, dt=0.0025, transient=True, tied=True),
+    ],
+    ids=["ghost penalty", "tied", "tied, short steps"],
+)
+def test_dynamic_cooks_membrane(case, tmp_path):
     _, history = cooks_membrane_dynamic.run(case, 0.5, tmp_path)
     reference = np.loadtxt(cooks_membrane_dynamic.REFERENCE, delimiter=",")
     expected = np.interp(history[:, 0], reference[:, 0], reference[:, 2])
@@ -147,6 +155,7 @@ def test_dynamic_cooks_membrane_as_a_program(tmp_path, capsys):
         "--points 0",
         "--scheme Euler",
         "--study 6a --size 0.1",
+        "--tied --ghost 1",
     ],
 )
 def test_wrong_options_of_the_dynamic_membrane(arguments, capsys):
