@@ -61,7 +61,7 @@ def advance(sim, steps=3):
 
 def state(sim):
     sets = [*sim.bodies, *sim.carried]
-    numbers = (sim.time, sim.number, sim.next_dt, float(sim.scheme.dt.value), sim.scheme.memory)
+    numbers = (sim.time, sim.number, sim.next_dt, float(sim.scheme.dt.value), sim.memory)
     return numbers, [(points.next_id, points.size_global, points.snapshot()) for points in sets]
 
 
@@ -126,6 +126,20 @@ def test_goes_on_within_run(directory):
     checkpoint.restore(directory / "run.h5", again)
     assert [step.number for step in again.run(0.12)] == [4, 5, 6]
     assert_same(state(again), state(sim))
+
+
+def test_the_longest_step_is_kept(directory):
+    """A run whose greatest length was set goes on with it, also after steps that were cut."""
+    sim = cantilever()
+    for _ in sim.run(0.03, step_length=lambda: 0.01):
+        pass
+    sim.next_dt = 0.0025
+    checkpoint.save(directory / "run.h5", sim)
+    again = cantilever()
+    checkpoint.restore(directory / "run.h5", again)
+    lengths = [[step.dt for step in s.run(0.0675)] for s in (sim, again)]
+    assert lengths[0] == pytest.approx([0.0025, 0.005, 0.01, 0.01, 0.01])
+    assert lengths[1] == lengths[0]
 
 
 @pytest.mark.mpi

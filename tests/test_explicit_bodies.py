@@ -245,7 +245,7 @@ def test_a_stress_that_is_not_finite_is_not_handed_out():
     assert unchanged(body, before) and sim.number == 1
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.4])
+@pytest.mark.parametrize("rate", [0.0, 0.4, 10.0])
 def test_the_true_J_is_drawn_to_its_average_by_strain(rate):
     """F <- (J* / J)^(1/2) F with J* = J + min(s e, 1) (J_bar - J), nothing at rest."""
     s, dt = 100.0, 1e-3
@@ -258,9 +258,8 @@ def test_the_true_J_is_drawn_to_its_average_by_strain(rate):
     fbar = explicit.FBar(r=0.3, s=s)
     explicit.ExplicitMPM(V, {body: RUBBER}, bcs=[held], dt=dt, fbar=fbar).step()
     strain = dt * rate * math.sqrt(2 + 0.5)
-    J = 1 + s * strain * 0.02
+    J = 1 + min(s * strain, 1.0) * 0.02
     expected = math.sqrt(J) * (np.eye(2) + dt * L)
-    assert s * strain < 1
     assert body["F"][:, :2, :2] == pytest.approx(np.tile(expected, (len(body), 1, 1)), abs=1e-13)
 
 

@@ -3,6 +3,8 @@
 
 import logging
 import subprocess
+import time
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -15,7 +17,7 @@ from dolfinx import fem, mesh
 
 import fenicsmpm
 from fenicsmpm import io
-from fenicsmpm.io import pictures
+from fenicsmpm.io import console, pictures
 from fenicsmpm.points import fill
 
 comm = MPI.COMM_WORLD
@@ -257,6 +259,21 @@ def test_log_is_printed_once(capsys):
         assert capsys.readouterr().out == "iteration 1\n"
     finally:
         logger.handlers[:], logger.level, logger.propagate = before
+
+
+def test_a_bar_says_how_far_a_run_is(capsys, monkeypatch):
+    monkeypatch.setattr(console, "_has_terminal", lambda: True)
+    newton = SimpleNamespace(iterations=4)
+
+    def steps():
+        for number in (1, 2):
+            time.sleep(0.15)  # bars are drawn every 0.1 s at most
+            yield SimpleNamespace(number=number, time=0.5 * number, newton=newton)
+
+    assert [step.number for step in io.watch(steps(), 2.0, "beam")] == [1, 2]
+    shown = capsys.readouterr().err
+    assert "beam:  50%" in shown and "1/2 s" in shown
+    assert "step 2, 4 Newton iterations" in shown
 
 
 def test_progress_goes_through_all(capsys):

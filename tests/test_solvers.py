@@ -87,6 +87,19 @@ def test_line_search_cuts_steps():
 
 
 @pytest.mark.mpi
+def test_a_tangent_that_is_kept():
+    kept, new = (Cubic(start=1.9, keep_tangent=share) for share in (0.5, 0.0))
+    few, all_of_them = (problem.solver.solve() for problem in (kept, new))
+    assert few.tangents < few.iterations
+    assert all_of_them.tangents == all_of_them.iterations < few.iterations
+    for problem in (kept, new):
+        assert problem.u.x.array == pytest.approx(2.0, rel=1e-8)
+    for share in (1.0, -0.1):
+        with pytest.raises(ValueError, match="keep_tangent"):
+            Cubic(keep_tangent=share)
+
+
+@pytest.mark.mpi
 def test_divergence_leaves_the_state():
     problem = Cubic(start=0.1, max_iterations=3)
     with pytest.raises(NewtonError, match=r"diverged: .* after 3 iterations") as caught:
@@ -199,6 +212,34 @@ def test_options_reach_petsc():
     assert default.ksp.getType() == "preonly"
     assert default.ksp.getPC().getFactorSolverType() == "mumps"
     PETSc.Options().delValue("mine_ksp_rtol")
+
+
+@pytest.mark.parametrize("failures, tries, workspace", [(0, 1, 100), (1, 2, 200), (9, 4, 800)])
+def test_mumps_gets_more_workspace(failures, tries, workspace, monkeypatch):
+    """Twice as much at each failure for want of it, up to tenfold."""
+    solver = LinearSolver(MPI.COMM_SELF)
+    A = PETSc.Mat().createAIJ((2, 2), nnz=1, comm=MPI.COMM_SELF)
+    for i in range(2):
+        A[i, i] = 2.0
+    A.assemble()
+    x, b = A.createVecs()
+    b.set(1.0)
+    once, seen = solver._try, []
+
+    def fail(*arguments):
+        seen.append(solver._options.getInt("mat_mumps_icntl_14"))
+        reason = once(*arguments)
+        return -11 if len(seen) <= failures else reason
+
+    monkeypatch.setattr(solver, "_try", fail)
+    monkeypatch.setattr(solver, "_mumps_wants_memory", lambda: True)
+    if failures == 9:
+        with pytest.raises(LinearSolverError, match="linear solver failed"):
+            solver.solve(A, b, x)
+    else:
+        solver.solve(A, b, x)
+        assert x.array == pytest.approx(0.5)
+    assert len(seen) == tries and seen[-1] == workspace
 
 
 def test_a_line_an_iteration(caplog):

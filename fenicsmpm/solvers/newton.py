@@ -113,7 +113,7 @@ class NewtonSolver:
     ) -> None:
         """Compile the forms (collective)."""
         if not 0 <= keep_tangent < 1:
-            raise ValueError(f"a tangent is kept for reductions in [0, 1): {keep_tangent}")
+            raise ValueError(f"keep_tangent must lie in [0, 1): {keep_tangent}")
         if tying is not None and tying.space != U.function_space:
             raise ValueError("nodes are tied in another space than that of the unknown")
         self.R = forms.form(R)
