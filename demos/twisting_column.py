@@ -26,7 +26,9 @@ def twist(spin=100.0, reference="twisting_column.csv", **options):
 
 def slides(**options):
     """The faster column of Moreno, Contri and Larese, CMN 2022, with Miehe's volumetric law."""
-    return twist(105.0, None, h=0.2, per_cell=16, volumetric="miehe", transient=True, **options)
+    return twist(
+        105.0, None, h=0.2, per_cell=16, volumetric="miehe", transient=True, tied=True, **options
+    )
 
 
 # ## Command line

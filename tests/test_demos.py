@@ -215,14 +215,15 @@ def test_a_column_that_ends_before_its_first_frame(tmp_path, capsys, monkeypatch
         assert (tmp_path / name).stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("tied", [False, True])
 @pytest.mark.parametrize(
     "name, component, share", [("bending_beam", "u_x", 0.01), ("twisting_column", "u_y", 0.05)]
 )
-def test_columns(name, component, share, tmp_path, capsys):
+def test_columns(name, component, share, tied, tmp_path, capsys):
     pytest.importorskip("gmsh")
     bending_beam = import_module("bending_beam")
     make = bending_beam.beam if name == "bending_beam" else import_module(name).twist
-    case = make(h=0.5, per_cell=12, dt=0.002)
+    case = make(h=0.5, per_cell=12, dt=0.002, tied=tied, transient=tied)
     sim, history = bending_beam.run(case, 0.02, tmp_path)
     deviations = bending_beam.compare(case, history)
     assert deviations[component] < share
