@@ -28,7 +28,8 @@ def ghost_penalty(
     Nodes with little or no material nearby then follow the linear continuation of their
     neighbours: gamma mu h [dn u] . [dn w] - gamma h^3 / (2 mu) [dn p] [dn q], the latter if there
     is a pressure. The increment of displacement is penalized, not the displacement itself, so that
-    no force builds up; its work is lost.
+    no force builds up; its work is lost. A load on such nodes moves them by the same length in each
+    step, however short: in short steps take ``mapping.Tying``.
 
     Args:
         U: increment of displacement [m], and pressure [Pa].
