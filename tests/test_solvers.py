@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Newton's method, load steps and linear solvers: right answers, and errors that say why."""
 
+import gc
 import logging
+import weakref
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -198,6 +200,20 @@ def test_load_steps_give_up():
         solve_in_load_steps(problem.solver, lambda s: problem.pull(-2.2 * s), smallest=0.05)
     assert np.all(np.isfinite(problem.U.x.array))
     assert problem.right.x.array.min() > -1.0  # the last load that was reached
+
+
+@pytest.mark.mpi
+def test_a_new_solver_buries_dead_ones():
+    """Otherwise MPI runs out of communicators after some hundred of them on several ranks."""
+    problem = Cubic()
+    problem.solver.solve()
+    matrix = weakref.ref(problem.solver._A.getAttr("fenicsmpm_work"))
+    assert matrix() is not None
+    del problem
+    gc.collect()
+    LinearSolver(MPI.COMM_WORLD)
+    gc.collect()
+    assert matrix() is None
 
 
 def test_options_reach_petsc():

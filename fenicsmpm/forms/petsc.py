@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from fenicsmpm import _compat
+from fenicsmpm._garbage import lasting
 from fenicsmpm.forms import assembly
 from fenicsmpm.forms.form import Form
 
@@ -25,7 +26,7 @@ def create_vector(L: Form) -> PETSc.Vec:
     index_map, bs = dofmap.index_map, dofmap.index_map_bs
     size = (index_map.size_local * bs, index_map.size_global * bs)
     ghosts = index_map.ghosts.astype(PETSc.IntType)
-    return PETSc.Vec().createGhost(ghosts, size=size, bsize=bs, comm=L.mesh.comm)
+    return PETSc.Vec().createGhost(ghosts, size=size, bsize=bs, comm=lasting(L.mesh.comm))
 
 
 def assemble_vector(L: Form, b: PETSc.Vec | None = None) -> PETSc.Vec:
@@ -60,7 +61,7 @@ def create_matrix(a: Form, compact: bool = False) -> PETSc.Mat:
     columns = _global_columns(A)
     owned = A.index_map(0).size_local
     indptr = A.indptr[: owned + 1].astype(PETSc.IntType)
-    matrix = PETSc.Mat().createAIJ(sizes, comm=a.mesh.comm, csr=(indptr, columns))
+    matrix = PETSc.Mat().createAIJ(sizes, comm=lasting(a.mesh.comm), csr=(indptr, columns))
     matrix.assemble()
     matrix.setAttr(_WORK, A)
     return matrix

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm._garbage import lasting
 from fenicsmpm.mapping.active_cells import ActiveCells
 from fenicsmpm.mapping.transfer import p2g
 from fenicsmpm.mapping.weight_correction import filled_fractions, nodes_of
@@ -108,7 +109,9 @@ class Tying:
         values[indptr[dofs + 1] - 1] = 0.0
         self.matrix.destroy()
         self.matrix.createAIJ(
-            (self._sizes, self._sizes), comm=self.space.mesh.comm, csr=(indptr, indices, values)
+            (self._sizes, self._sizes),
+            comm=lasting(self.space.mesh.comm),
+            csr=(indptr, indices, values),
         )
         self.matrix.assemble()
         if self._reduced is not None:
@@ -231,7 +234,7 @@ class Tying:
         return corners[order], dofs[order]
 
     def _vector(self) -> PETSc.Vec:
-        return PETSc.Vec().createMPI(self._sizes, comm=self.space.mesh.comm)
+        return PETSc.Vec().createMPI(self._sizes, comm=lasting(self.space.mesh.comm))
 
 
 def _components(space: fem.FunctionSpace) -> list[npt.NDArray[np.int32]]:

@@ -10,6 +10,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from fenicsmpm._garbage import collect_garbage, lasting
+
 # percent by which MUMPS' workspace exceeds its estimate, which pivoting makes too small
 _WORKSPACE = "mat_mumps_icntl_14"
 DIRECT = {
@@ -44,7 +46,8 @@ class LinearSolver:
     def __init__(
         self, comm: Any, petsc_options: dict[str, Any] | None = None, prefix: str | None = None
     ) -> None:
-        """Create the solver and hand over its options."""
+        """Create the solver and hand over its options (collective)."""
+        collect_garbage(comm)  # of earlier solvers, or MPI runs out of communicators
         # MUMPS reads its options as late as in the factorization: they stay in the database, so
         # each solver needs a prefix of its own
         prefix = f"fenicsmpm_{next(_numbers)}_" if prefix is None else prefix
@@ -54,7 +57,7 @@ class LinearSolver:
                 self._options[key] = value
             if key in DIRECT:
                 self._options.getString(key)  # "used", so PETSc does not list it at the end
-        self.ksp = PETSc.KSP().create(comm)
+        self.ksp = PETSc.KSP().create(lasting(comm))
         self.ksp.setOptionsPrefix(prefix)
         self.ksp.setFromOptions()
 

@@ -15,6 +15,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import forms
+from fenicsmpm._garbage import lasting
 from fenicsmpm.formulations import density
 from fenicsmpm.mapping import Tying, p2g
 from fenicsmpm.points import MaterialPoints
@@ -217,6 +218,6 @@ def _operator(context: Any, space: fem.FunctionSpace) -> PETSc.Mat:
     """Matrix of a blocked space that is given by its products."""
     bs, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
     sizes = index_map.size_local * bs, index_map.size_global * bs
-    matrix = PETSc.Mat().createPython((sizes, sizes), context, space.mesh.comm)
+    matrix = PETSc.Mat().createPython((sizes, sizes), context, lasting(space.mesh.comm))
     matrix.setUp()
     return matrix
