@@ -42,8 +42,8 @@ from dolfinx import fem, mesh
 from matplotlib.figure import Figure
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, io
+from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.diagnostics import kinetic_energy, probe, strain_energy
-from fenicsmpm.mapping import ActiveCells, Tying, correct_weights
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import lattice
 from fenicsmpm.solvers import NewtonError

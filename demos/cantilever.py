@@ -40,8 +40,8 @@ from dolfinx import fem, mesh
 from matplotlib.figure import Figure
 
 from fenicsmpm import ImplicitMPM, basis, formulations, io, materials, points
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import kinetic_energy, strain_energy
-from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import Hencky
 from fenicsmpm.solvers import CourantStep, NewtonError
 

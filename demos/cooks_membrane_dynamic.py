@@ -54,8 +54,8 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, io
+from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.diagnostics import probe
-from fenicsmpm.mapping import ActiveCells, Tying, correct_weights
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import lattice, on_curve
 from fenicsmpm.solvers import NewtonError

@@ -29,8 +29,8 @@ from cantilever import METHODS, Energies, draw, drift, equations, plot, save, sn
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, basis, formulations, io, points
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import angular_momentum, momentum
-from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import Hencky, VonMises
 from fenicsmpm.solvers import CourantStep, NewtonError
 

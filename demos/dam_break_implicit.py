@@ -43,8 +43,8 @@ import ufl
 from dolfinx import fem, la, mesh
 
 from fenicsmpm import ImplicitMPM, formulations, io, points
-from fenicsmpm.mapping import p2g
 from fenicsmpm.solvers import NewtonError
+from fenicsmpm.transfer import p2g
 
 WIDTH, HEIGHT = 1.0, 2.0  # of the water, m
 BOX = (6.0, 2.4)  # of the background mesh, m

@@ -27,7 +27,7 @@ from cantilever import METHODS, Energies, draw, drift, equations, plot, save, sn
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, basis, formulations, io, points
-from fenicsmpm.mapping import ActiveCells, Tying
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.materials import VonMises
 from fenicsmpm.solvers import CourantStep, NewtonError
 

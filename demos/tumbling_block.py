@@ -35,8 +35,8 @@ from dolfinx import fem, mesh
 from matplotlib.figure import Figure
 
 from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, strain_energy
-from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonError
 

@@ -8,37 +8,39 @@ from mpi4py import MPI
 import numba
 
 from fenicsmpm import (
-    audit,
     basis,
+    cells,
     diagnostics,
     explicit,
     forms,
     formulations,
     io,
-    mapping,
     materials,
     points,
+    simulation,
     solvers,
+    transfer,
 )
-from fenicsmpm.implicit import ImplicitMPM
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.simulation import ImplicitMPM
 
 __version__ = "0.1.0"
 
 __all__ = [
     "ImplicitMPM",
     "MaterialPoints",
-    "audit",
     "basis",
+    "cells",
     "diagnostics",
     "explicit",
     "forms",
     "formulations",
     "io",
-    "mapping",
     "materials",
     "points",
+    "simulation",
     "solvers",
+    "transfer",
 ]
 
 # Ranks share the cores: unless the user says otherwise, each assembles with one thread.

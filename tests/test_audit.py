@@ -14,7 +14,7 @@ from fenicsmpm import (
     formulations,
     points,
 )
-from fenicsmpm.audit import AuditedMPM
+from fenicsmpm.simulation import AuditedMPM
 from fenicsmpm.solvers import CourantStep
 
 # --- audit --------------------------------------------------------------------------------------

@@ -25,8 +25,8 @@ from lattices import (
 )  # fmt: skip
 
 from fenicsmpm import MaterialPoints, basis, forms
-from fenicsmpm.mapping import p2g
 from fenicsmpm.materials import NeoHookean
+from fenicsmpm.transfer import p2g
 
 # --- functions and derivatives -------------------------------------------------------------------
 

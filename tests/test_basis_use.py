@@ -8,9 +8,10 @@ from dolfinx import fem, mesh
 from lattices import COMM, EACH, EVERYWHERE, LOWER, SHAPE, UPPER, cloud, lattice, noise, space, use
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, basis, forms, formulations, points
+from fenicsmpm.cells import ActiveCells, FilledFraction, Tying
 from fenicsmpm.diagnostics import angular_momentum, momentum
-from fenicsmpm.mapping import ActiveCells, FilledFraction, Tying, p2g, project
 from fenicsmpm.materials import NeoHookean
+from fenicsmpm.transfer import p2g, project
 
 # --- mapping -------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, forms, points
 from fenicsmpm import formulations as fm
-from fenicsmpm.mapping import ActiveCells
+from fenicsmpm.cells import ActiveCells
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 

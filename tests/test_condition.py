@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 
 from fenicsmpm import MaterialPoints, basis, forms
 from fenicsmpm import formulations as fm
-from fenicsmpm.mapping import ActiveCells, Tying
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.materials import Hencky
 
 

@@ -12,7 +12,7 @@ from forms_table import CELLS
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, _compat, basis, forms, points
 from fenicsmpm import formulations as fm
-from fenicsmpm.mapping import ActiveCells, Tying, correct_weights
+from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 

@@ -17,8 +17,8 @@ from fenicsmpm import (
     forms,
     formulations,
 )
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.formulations import EnergyMomentum, Midpoint, Response
-from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import Law, NewtonianFluid, VonMises, compiled
 from fenicsmpm.solvers import EffectiveProjection, LinearSolverError
 

@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from forms_table import CELLS
 
 from fenicsmpm import MaterialPoints, forms
-from fenicsmpm.mapping import project
+from fenicsmpm.transfer import project
 
 
 @pytest.mark.mpi

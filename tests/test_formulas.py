@@ -12,9 +12,9 @@ from test_time_schemes import SPEED, shear_oscillator
 
 from fenicsmpm import MaterialPoints, forms, points
 from fenicsmpm import formulations as fm
-from fenicsmpm.audit import AuditedMPM
-from fenicsmpm.mapping import ActiveCells
+from fenicsmpm.cells import ActiveCells
 from fenicsmpm.materials import NeoHookean
+from fenicsmpm.simulation import AuditedMPM
 
 
 def test_ghost_terms():

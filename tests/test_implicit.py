@@ -9,12 +9,13 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, formulations, points
+from fenicsmpm.cells import ActiveCells, correct_weights
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum, strain_energy
 from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark
-from fenicsmpm.mapping import ActiveCells, correct_weights, project
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import PointsOutsideError
 from fenicsmpm.solvers import NewtonError
+from fenicsmpm.transfer import project
 
 SCHEMES = [Bossak, GeneralizedAlpha, Newmark, BDF2]
 

@@ -12,8 +12,8 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, points
+from fenicsmpm.cells import ActiveCells, correct_weights
 from fenicsmpm.diagnostics import probe
-from fenicsmpm.mapping import ActiveCells, correct_weights
 from fenicsmpm.materials import NeoHookean
 
 MESHES = Path(__file__).parent.parent / "meshes"

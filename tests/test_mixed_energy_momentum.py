@@ -9,8 +9,8 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import ImplicitMPM, diagnostics, formulations, points
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.forms import evaluate
-from fenicsmpm.mapping import ActiveCells, Tying
 from fenicsmpm.materials import NeoHookean
 
 COMM = MPI.COMM_WORLD

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import forms, formulations, points
-from fenicsmpm.mapping import ActiveCells
+from fenicsmpm.cells import ActiveCells
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import (
     LinearSolver,

@@ -12,11 +12,11 @@ from dolfinx import fem, mesh
 from energy_bodies import MATERIALS, block
 
 from fenicsmpm import ImplicitMPM, diagnostics, explicit, forms, formulations, io, points
-from fenicsmpm.audit import AuditedMPM
-from fenicsmpm.mapping import ActiveCells, Tying
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import PointsOutsideError
 from fenicsmpm.points.agreement import do_there
+from fenicsmpm.simulation import AuditedMPM
 from fenicsmpm.solvers import CourantStep, NewtonError, NewtonSolver
 
 COMM = MPI.COMM_WORLD
@@ -161,7 +161,7 @@ def test_load_without_material_and_tied_nodes():
     bcs = [held(space, lambda x: np.isclose(x[0], 0))]
     with pytest.raises(NewtonError, match="load without material") as caught:
         NewtonSolver(R, U, bcs, tying=Tying(space, body, ActiveCells(body))).solve()
-    assert "to the ghost penalty or to mapping.Tying" in str(caught.value)
+    assert "to the ghost penalty or to cells.Tying" in str(caught.value)
 
 
 # --- explicit supports ---------------------------------------------------------------------------

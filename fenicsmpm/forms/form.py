@@ -14,7 +14,6 @@ from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.integral import PointIntegral, selected_tags
 from fenicsmpm.forms.regions import RegionForm, is_region
-from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
 
@@ -49,7 +48,8 @@ class Form:
         self.region_forms = region_forms
         self.function_spaces = function_spaces
         self.mesh = mesh
-        self._fractions = [c for c in ufl_form.coefficients() if isinstance(c, FilledFraction)]
+        # functions on the grid that are derived from points, such as their volume at the nodes
+        self._derived = [c for c in ufl_form.coefficients() if hasattr(c, "follow_points")]
 
     @property
     def rank(self) -> int:
@@ -79,8 +79,8 @@ class Form:
 
     def refresh(self) -> None:
         """Bring coefficients that are derived from points up to date (collective)."""
-        for fraction in self._fractions:
-            fraction.update()
+        for function in self._derived:
+            function.follow_points()
 
     def __repr__(self) -> str:
         """Rank, spaces and where the integrals are taken."""

@@ -8,9 +8,9 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.cells import ActiveCells
 from fenicsmpm.formulations.mixed import MixedLaw, parts
 from fenicsmpm.formulations.time_scheme import TimeScheme
-from fenicsmpm.mapping import ActiveCells
 from fenicsmpm.materials import Hencky, VonMises
 from fenicsmpm.points.geometry import cell_geometry
 
@@ -29,7 +29,7 @@ def ghost_penalty(
     neighbours: gamma mu h [dn u] . [dn w] - gamma h^3 / (2 mu) [dn p] [dn q], the latter if there
     is a pressure. The increment of displacement is penalized, not the displacement itself, so that
     no force builds up; its work is lost. A load on such nodes moves them by the same length in each
-    step, however short: in short steps take ``mapping.Tying``.
+    step, however short: in short steps take ``cells.Tying``.
 
     Args:
         U: increment of displacement [m], and pressure [Pa].
@@ -67,7 +67,7 @@ def ghost_mass(
 
     It bounds the condition number of the mass (S. Sticko, G. Ludvigsson, G. Kreiss, Adv. Comput.
     Math. 46, 2020; conservation paper, section 7.4). Points do not gain what its kinetic energy
-    loses; ``mapping.Tying`` regularizes the mass as well, and conserves energy.
+    loses; ``cells.Tying`` regularizes the mass as well, and conserves energy.
 
     Args:
         V: test function.

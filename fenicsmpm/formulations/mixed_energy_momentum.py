@@ -32,7 +32,7 @@ class MixedEnergyMomentum(EnergyMomentum):
     its sign from step to step: nothing damps it.
 
     Nodes that few points see are to be tied, as the pressure is ill there, in both parts of the
-    space: ``mapping.Tying(U.function_space, ...)``. The mean p_K needs finite elements or cubic
+    space: ``cells.Tying(U.function_space, ...)``. The mean p_K needs finite elements or cubic
     splines (``ufl.cell_avg``); with quadratic ones and uGIMP, set alpha = 0.
 
     Volume is kept step by step, not since the start: J = 1 would have to correct what the last

@@ -11,10 +11,10 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.cells import FilledFraction
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.mixed import MixedLaw, mixed, parts, require_linear
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
-from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 
 STABILIZATIONS = ("none", "ppp", "asgs", "osgs")

@@ -11,8 +11,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.cells import FilledFraction
 from fenicsmpm.formulations.mixed import parts, require_linear, subspaces
-from fenicsmpm.mapping import FilledFraction
 from fenicsmpm.points import MaterialPoints
 
 

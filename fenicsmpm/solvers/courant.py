@@ -12,11 +12,11 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from fenicsmpm.mapping import p2g
 from fenicsmpm.materials import Law
 from fenicsmpm.materials.law import positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.geometry import cell_geometry
+from fenicsmpm.transfer import p2g
 
 
 class CourantStep:

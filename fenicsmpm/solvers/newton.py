@@ -24,7 +24,7 @@ from fenicsmpm.solvers.pressure_level import require_pressure_level
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
-    from fenicsmpm.mapping import Tying
+    from fenicsmpm.cells import Tying
 
 logger = logging.getLogger(__name__)
 
@@ -250,7 +250,7 @@ class NewtonSolver:
         raise NewtonError(
             "load without material",
             f"|R| = {size:.3e} on nodes of cells without a body, most at ({position}); give "
-            "ActiveCells(body, loads=[..]) to the ghost penalty or to mapping.Tying",
+            "ActiveCells(body, loads=[..]) to the ghost penalty or to cells.Tying",
             result.residuals,
         )
 

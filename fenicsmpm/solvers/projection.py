@@ -16,10 +16,11 @@ from dolfinx import fem
 
 from fenicsmpm import forms
 from fenicsmpm._garbage import lasting
+from fenicsmpm.cells import Tying
 from fenicsmpm.formulations import density
-from fenicsmpm.mapping import Tying, p2g
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
+from fenicsmpm.transfer import p2g
 
 # The right-hand side is in the range of the mass, also where points are so few that the mass is
 # singular: conjugate gradients then find a solution. Residuals are measured by their energy, in
@@ -143,7 +144,7 @@ class EffectiveProjection:
         raise LinearSolverError(
             "the mass of the points is singular or not finite, so that their velocities cannot be "
             "mapped to the grid: check their masses; where few points see a node, tie it "
-            f"(mapping.Tying) or use some lumped mass (lumping > 0){why}"
+            f"(cells.Tying) or use some lumped mass (lumping > 0){why}"
         )
 
     @staticmethod

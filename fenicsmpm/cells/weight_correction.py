@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm import _compat
-from fenicsmpm.mapping.active_cells import ActiveCells, nodes_of
+from fenicsmpm.cells.active_cells import ActiveCells, nodes_of
 from fenicsmpm.points import MaterialPoints
 
 # Volume of points per volume of a full cell, beyond which there is a hole or a pile of points

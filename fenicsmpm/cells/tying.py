@@ -17,12 +17,12 @@ from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm._garbage import lasting
-from fenicsmpm.mapping.active_cells import ActiveCells
-from fenicsmpm.mapping.transfer import p2g
-from fenicsmpm.mapping.weight_correction import filled_fractions, nodes_of
+from fenicsmpm.cells.active_cells import ActiveCells
+from fenicsmpm.cells.weight_correction import filled_fractions, nodes_of
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.geometry import cell_geometry
+from fenicsmpm.transfer.points_to_grid import p2g
 
 
 class Tying:

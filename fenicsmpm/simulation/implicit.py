@@ -17,16 +17,17 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm.cells import Tying
 from fenicsmpm.forms import FieldUpdates, PointExpression
 from fenicsmpm.formulations import Kinematics, parts, subspaces
 from fenicsmpm.formulations.mixed import require_linear
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
-from fenicsmpm.mapping import Tying, project
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import check_on_exit, move
 from fenicsmpm.solvers import EffectiveProjection, NewtonError, NewtonResult, NewtonSolver
 from fenicsmpm.solvers.checks import check_updates, require_fields, warn_of_points_that_stay
 from fenicsmpm.solvers.stopwatch import Stopwatch
+from fenicsmpm.transfer import project
 
 logger = logging.getLogger(__name__)
 
@@ -76,7 +77,7 @@ class ImplicitMPM:
             by it, and loads: those of its end, where equations hold, or of its middle for
             ``Midpoint``.
         taylor: continue velocities linearly from points to nodes when they are mapped, see
-            ``mapping.project``; otherwise as in the paper.
+            ``transfer.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         adapt: called with each body at the end of a step, to change its quadrature weights.
         newton: options of ``NewtonSolver``.

@@ -10,9 +10,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
-from fenicsmpm.mapping.active_cells import ActiveCells
-from fenicsmpm.mapping.transfer import p2g
+from fenicsmpm.cells.active_cells import ActiveCells
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.transfer.points_to_grid import p2g
 
 _VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
@@ -43,10 +43,10 @@ class FilledFraction(fem.Function):
         self._full: npt.NDArray[np.float64] = np.empty(0)
         self._version: Any = None
         self.vertex_dx = self._cells.dx(metadata=_VERTEX_RULE)
-        self.update()
+        self.follow_points()
 
-    def update(self) -> None:
-        """Compute the fraction anew from the points (collective)."""
+    def follow_points(self) -> None:
+        """Compute the fraction anew from the points; forms do it before each use (collective)."""
         space = self.function_space
         if self._version != self._cells.version:
             self._version = self._cells.version
