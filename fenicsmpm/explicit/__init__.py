@@ -3,9 +3,9 @@
 
 from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.explicit.explicit_mpm import ExplicitMPM, Step, UnstableError
-from fenicsmpm.explicit.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.explicit.initial_state import set_initial_state
 from fenicsmpm.explicit.walls import roller
+from fenicsmpm.formulations.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 
 __all__ = [
     "ALGORITHM_1",

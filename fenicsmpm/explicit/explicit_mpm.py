@@ -21,8 +21,8 @@ from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.checks import check_points, check_space
 from fenicsmpm.explicit.contact import RigidBox
-from fenicsmpm.explicit.fbar import FBar, default_fbar
 from fenicsmpm.explicit.parts import Load, Part
+from fenicsmpm.formulations.fbar import FBar, default_fbar
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints

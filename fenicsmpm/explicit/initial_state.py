@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.formulations.initial_state import add_motion
+from fenicsmpm import formulations
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 
@@ -38,7 +38,7 @@ def set_initial_state(
     Raises:
         ValueError: for a density that is not positive and finite.
     """
-    add_motion(points, density, velocity)
+    formulations.set_initial_state(points, density, velocity)
     points.add_field("J_bar", (), 1.0)
     points.add_field("sigma", (3, 3))
     for name, (shape, value) in law.state.items():

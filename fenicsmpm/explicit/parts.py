@@ -16,10 +16,10 @@ from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.body import Body
 from fenicsmpm.explicit.carriers import carriers
 from fenicsmpm.explicit.contact import RigidBox, contact
-from fenicsmpm.explicit.fbar import FBar
 from fenicsmpm.explicit.grid import Nodes
 from fenicsmpm.explicit.kernels import transfers
 from fenicsmpm.explicit.stencils import in_blocks, out_of_blocks
+from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints

@@ -10,8 +10,10 @@ from fenicsmpm.formulations.boundary import (
     set_normals,
 )
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
+from fenicsmpm.formulations.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.formulations.ghost_penalty import ghost_mass, ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
+from fenicsmpm.formulations.internal_force import body_force, internal_force
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.midpoint import Midpoint
 from fenicsmpm.formulations.mixed import (
@@ -38,10 +40,13 @@ from fenicsmpm.formulations.stabilization import (
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
 
 __all__ = [
+    "ALGORITHM_1",
     "BDF2",
     "STABILIZATIONS",
+    "TRUE_J",
     "Bossak",
     "EnergyMomentum",
+    "FBar",
     "GeneralizedAlpha",
     "Kinematics",
     "Midpoint",
@@ -52,13 +57,16 @@ __all__ = [
     "Response",
     "TimeScheme",
     "asgs",
+    "body_force",
     "dead_load",
+    "default_fbar",
     "density",
     "element_size",
     "embed",
     "follower_pressure",
     "ghost_mass",
     "ghost_penalty",
+    "internal_force",
     "mixed",
     "mixed_space",
     "normal_update",

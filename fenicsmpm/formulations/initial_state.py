@@ -17,11 +17,11 @@ def set_initial_state(
     density: float,
     velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None,
 ) -> None:
-    """Give undeformed points the fields of a body in motion (collective).
+    """Give undeformed points the fields of a body in motion, for any time loop (collective).
 
     These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
-    determinant [-], "u" displacement [m], "v" velocity [m/s] and "grad_v" its gradient [1/s], "a"
-    acceleration [m/s^2] and "p" mean stress [Pa].
+    determinant [-], "u" displacement [m] and "v" velocity [m/s]; where velocities are given, also
+    their gradient "grad_v" [1/s]. What a law or a time scheme needs beyond that, it adds itself.
 
     Args:
         points: the body, with its volumes as weights.
@@ -32,25 +32,6 @@ def set_initial_state(
     Raises:
         ValueError: for a density that is not positive and finite, or velocities of another shape
             than the positions; the points are as before.
-    """
-    add_motion(points, density, velocity)
-    dim = points.mesh.geometry.dim
-    points.add_field("grad_v", (dim, dim))
-    if velocity is not None:
-        lower, upper = points.bounds
-        points["grad_v"] = _gradient(velocity, points.x, 1e-5 * float(np.max(upper - lower)))
-    points.add_field("a", (dim,))
-    points.add_field("p")
-
-
-def add_motion(
-    points: MaterialPoints,
-    density: float,
-    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None,
-) -> None:
-    """Give undeformed points what every moving body has: mass, V_0, F, J, u and v.
-
-    Arguments and errors are those of ``set_initial_state``.
     """
     if not 0 < density < np.inf:
         raise ValueError(f"the density must be positive and finite: {density}")
@@ -66,6 +47,10 @@ def add_motion(
     points.add_field("J", (), 1.0)
     points.add_field("u", (dim,))
     points.add_field("v", (dim,), v)
+    if velocity is not None:
+        lower, upper = points.bounds
+        gradient = _gradient(velocity, points.x, 1e-5 * float(np.max(upper - lower)))
+        points.add_field("grad_v", (dim, dim), gradient)
 
 
 def _gradient(

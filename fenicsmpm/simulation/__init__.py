@@ -2,6 +2,17 @@
 """The time loops, and what observes them."""
 
 from fenicsmpm.simulation.audit import AuditedMPM, Balance, StepAudit
-from fenicsmpm.simulation.implicit import ImplicitMPM, Step
+from fenicsmpm.simulation.explicit import ExplicitMPM
+from fenicsmpm.simulation.implicit import ImplicitMPM
+from fenicsmpm.simulation.step import Step
+from fenicsmpm.simulation.unstable import UnstableError
 
-__all__ = ["AuditedMPM", "Balance", "ImplicitMPM", "Step", "StepAudit"]
+__all__ = [
+    "AuditedMPM",
+    "Balance",
+    "ExplicitMPM",
+    "ImplicitMPM",
+    "Step",
+    "StepAudit",
+    "UnstableError",
+]

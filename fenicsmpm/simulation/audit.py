@@ -16,7 +16,8 @@ from dolfinx import fem
 from fenicsmpm import _compat
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, moment, momentum
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.simulation.implicit import ImplicitMPM, Step
+from fenicsmpm.simulation.implicit import ImplicitMPM
+from fenicsmpm.simulation.step import Step
 from fenicsmpm.solvers import EffectiveProjection
 
 Array = npt.NDArray[np.float64]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -24,6 +23,7 @@ from fenicsmpm.formulations.mixed import require_linear
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import check_on_exit, move
+from fenicsmpm.simulation.step import Step
 from fenicsmpm.solvers import EffectiveProjection, NewtonError, NewtonResult, NewtonSolver
 from fenicsmpm.solvers.checks import check_updates, require_fields, warn_of_points_that_stay
 from fenicsmpm.solvers.stopwatch import Stopwatch
@@ -33,27 +33,6 @@ logger = logging.getLogger(__name__)
 
 # Fields of a body that are mapped to the parts of the unknown, in their order
 _PARTS = ("u", "p", "Pi_u", "Pi_p")
-
-
-@dataclass
-class Step:
-    """What happened in a time step.
-
-    Attributes:
-        number: of the step, from 1.
-        time: at its end [s].
-        dt: its length [s].
-        newton: how its equations were solved.
-        attempts: 1 plus the number of times that the step was halved.
-        removed: points that left the mesh and were deleted or held back.
-    """
-
-    number: int
-    time: float
-    dt: float
-    newton: NewtonResult
-    attempts: int = 1
-    removed: int = 0
 
 
 class ImplicitMPM:
@@ -146,6 +125,8 @@ class ImplicitMPM:
             for name in scheme.histories:
                 if name not in body:
                     body.add_field(name, shapes["u"])
+            if "grad_v" not in body:
+                body.add_field("grad_v", (*shapes["u"], body.mesh.geometry.dim))
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", shapes["u"])

@@ -38,7 +38,7 @@ def check_bcs(bcs: Sequence[fem.DirichletBC], V: fem.FunctionSpace) -> None:
 
 def require_fields(body: MaterialPoints) -> None:
     """Raise ValueError for a body without the fields of ``set_initial_state``."""
-    needed = ("mass", "V_0", "F", "J", "u", "v", "grad_v")
+    needed = ("mass", "V_0", "F", "J", "u", "v")
     missing = [name for name in needed if name not in body]
     if missing:
         raise ValueError(

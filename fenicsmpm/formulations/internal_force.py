@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT
+"""Forces of explicit steps in UFL: integrals over the points where they are now.
+
+An explicit step knows stresses and volumes at its beginning, so its internal force is a form of
+rank 1 whose integrand is linear in the test function w, and nothing has to be solved for:
+``m_I a_I = -R(N_I)``. References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric
+locking in explicit material point methods" (F-bar).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from fenicsmpm.formulations.fbar import FBar, default_fbar
+from fenicsmpm.formulations.kinematics import embed
+from fenicsmpm.formulations.time_scheme import density
+from fenicsmpm.materials import Law, NeoHookean, state_of, stress
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import PointField
+
+Averages: TypeAlias = FBar | Literal["default"] | None
+
+
+class AveragedJ(PointField):
+    """Field "J_bar" of a body [-], which an explicit step renews by averages of J.
+
+    Args:
+        points: the body, with the field "J"; "J_bar" is added if missing, and is then J.
+        averages: how J is averaged; None for J itself.
+    """
+
+    def __init__(self, points: MaterialPoints, averages: FBar | None) -> None:
+        """Add the field if it is missing."""
+        if "J_bar" not in points:
+            points.add_field("J_bar", (), points["J"])
+        super().__init__(points, "J_bar")
+        self.averages = averages
+
+
+class CauchyStress(PointField):
+    """Field "sigma" of a body [Pa], 3x3, which an explicit step renews by a law at points.
+
+    Args:
+        points: the body, with the fields of ``set_initial_state``. "sigma", "J_bar" and those of
+            the law's state are added if they are missing; the stress is then that of the present
+            "F" and state.
+        law: constitutive law, of which only the parameters may change later.
+        averages: how J is averaged; None for J itself.
+
+    Attributes:
+        law: constitutive law.
+        averages: how J is averaged, or None.
+
+    Raises:
+        ValueError: for a body that has the stress of another law already, or fields of other shapes
+            under the names of the state.
+    """
+
+    def __init__(self, points: MaterialPoints, law: Law, averages: FBar | None) -> None:
+        """Add the fields that are missing."""
+        missing = [name for name in ("F", "J", "mass", "V_0") if name not in points]
+        if missing:
+            raise ValueError(
+                f"a body without the fields {', '.join(missing)} has no stress: call "
+                "set_initial_state(points, density) first"
+            )
+        for name, (shape, value) in law.state.items():
+            if name not in points:
+                points.add_field(name, shape, value)
+            elif points.field_shape(name) != shape:
+                raise ValueError(
+                    f"the state of {law!r} needs a field {name!r} of shape {shape}, but the "
+                    f"body has one of shape {points.field_shape(name)}"
+                )
+        if "sigma" not in points:
+            points.add_field("sigma", (3, 3), stress(law, points["F"], None, state_of(law, points)))
+        super().__init__(points, "sigma")
+        self.law, self.averages = law, averages
+        if averages is not None:
+            AveragedJ(points, averages)
+
+
+def internal_force(
+    w: Any,
+    points: MaterialPoints,
+    material: Law | NeoHookean | Callable[[Any], Any],
+    *,
+    fbar: Averages = "default",
+) -> ufl.Form:
+    """Internal force of an explicit step, the integral of sigma : grad w (F-bar, equation 8).
+
+    With averages of J, stresses are those of ``F_bar = (J_bar / J)^(1/d) F`` (equation 18).
+
+    Args:
+        w: test function of velocities.
+        points: the body, with the fields of ``set_initial_state`` and its present volumes as
+            weights [m^d].
+        material: a law at points; ``NeoHookean``, whose form at points is taken; or an energy per
+            initial volume ``psi(F)`` [J/m^3] in UFL, without state.
+        fbar: how J is averaged; None for no averages (standard MPM); by default what
+            ``default_fbar`` says of the law. An energy in UFL has none by default.
+
+    Returns:
+        UFL form of rank 1 over the points [N], to be given to ``ExplicitMPM``. A law at points is
+        in it as the field "sigma", an energy with its derivative.
+
+    Raises:
+        ValueError: see ``CauchyStress``; for ``NeoHookean`` with nu = 0.5, which has no stress at a
+            point.
+    """
+    if isinstance(material, NeoHookean):
+        material = material.pointwise()
+    if isinstance(material, Law):
+        averages = default_fbar(material) if fbar == "default" else fbar
+        sigma = CauchyStress(points, material, averages)
+        return stress_work(sigma, w) * points.dx
+    F = points.field("F")
+    if isinstance(fbar, FBar):
+        dim = points.mesh.geometry.dim
+        F = stretched(F, AveragedJ(points, fbar) / ufl.det(F), dim)
+    F = ufl.variable(F)
+    sigma = ufl.diff(material(F), F) * F.T / ufl.det(F)
+    return stress_work(sigma, w) * points.dx
+
+
+def stress_work(sigma: Any, w: Any) -> Any:
+    """Integrand of the internal force, sigma : grad w [Pa/m]."""
+    return ufl.inner(sigma, embed(ufl.grad(w)))
+
+
+def body_force(w: Any, points: MaterialPoints, b: Any) -> ufl.Form:
+    """Force per mass, such as gravity, -(rho b, w) over the present volumes.
+
+    Args:
+        w: test function of velocities.
+        points: the body, with the field "mass" [kg].
+        b: force per mass [m/s^2]: d numbers, a ``fem.Constant``, or a UFL vector.
+
+    Returns:
+        UFL form of rank 1 over the points [N], to be added to the residual.
+
+    Raises:
+        ValueError: for numbers that are not finite, or of another shape.
+    """
+    dim = points.mesh.geometry.dim
+    if not isinstance(b, ufl.core.expr.Expr):
+        values = np.asarray(b, dtype=np.float64)
+        if values.shape != (dim,) or not np.isfinite(values).all():
+            raise ValueError(f"a body force must be {dim} finite numbers, not {b!r}")
+        b = fem.Constant(points.mesh, values)
+    if b.ufl_shape != (dim,):
+        raise ValueError(f"a body force must have shape ({dim},), not {b.ufl_shape}")
+    return force_work(points, b, w) * points.dx
+
+
+def force_work(points: MaterialPoints, b: Any, w: Any) -> Any:
+    """Integrand of a force per mass, -rho b . w [N/m^d per velocity]."""
+    return -density(points) * ufl.inner(b, w)
+
+
+def stretched(F: Any, ratio: Any, dim: int) -> Any:
+    """F with a determinant that is larger by a ratio; in plane strain F33 stays as it is.
+
+    Args:
+        F: deformation gradient 3x3, UFL.
+        ratio: of the determinants [-].
+        dim: 2 or 3.
+    """
+    stretch = ratio ** (1 / dim)
+    return ufl.as_tensor(
+        [[(stretch if i < dim else 1) * F[i, j] for j in range(3)] for i in range(3)]
+    )
+
+
+def drawn_J(points: MaterialPoints, f: Any, averages: FBar | None) -> Any:
+    """J before a step, drawn to its average by the strain of the step, see ``FBar`` [-].
+
+    Args:
+        points: the body, with the fields "F" and "J_bar".
+        f: gradient of the step's motion, I + dt grad v, d x d, UFL.
+        averages: how J is averaged, or None.
+    """
+    J = ufl.det(points.field("F"))
+    if averages is None or averages.s == 0:
+        return J
+    strain = ufl.sym(f) - ufl.Identity(f.ufl_shape[0])
+    share = ufl.min_value(averages.s * ufl.sqrt(ufl.inner(strain, strain)), 1.0)
+    return J + share * (points.field("J_bar") - J)
+
+
+def averaged_J(points: MaterialPoints, f: Any, averages: FBar) -> Any:
+    """What is averaged over the grid, per volume before the step [-] (F-bar, equations 19 to 21).
+
+    Args:
+        points: the body, with the fields "F" and "J_bar".
+        f: gradient of the step's motion, I + dt grad v, d x d, UFL.
+        averages: how J is averaged.
+    """
+    mixed = (1 - averages.r) * points.field("J_bar") + averages.r * drawn_J(points, f, averages)
+    return mixed * ufl.det(f)
+
+
+def moved_F(points: MaterialPoints, f: Any, averages: FBar | None, is_fluid: bool) -> Any:
+    """Deformation gradient after a step, 3x3 (F-bar, equation 14).
+
+    Args:
+        points: the body, with the fields "F" and "J_bar".
+        f: gradient of the step's motion, I + dt grad v, d x d, UFL.
+        averages: how J is averaged, or None.
+        is_fluid: of F, only the determinant is kept.
+    """
+    F, dim = points.field("F"), f.ufl_shape[0]
+    J = drawn_J(points, f, averages)
+    if is_fluid:
+        return stretched(ufl.Identity(3), ufl.det(f) * J, dim)
+    F = (ufl.Identity(3) + embed(f - ufl.Identity(dim))) * F
+    return (
+        F
+        if averages is None or averages.s == 0
+        else stretched(F, J / ufl.det(points.field("F")), dim)
+    )

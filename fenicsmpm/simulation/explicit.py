@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: MIT
+"""ExplicitMPM: the explicit time loop (F-bar, section 2.2 and algorithm 1)."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from fenicsmpm.formulations.time_scheme import check_time_step
+from fenicsmpm.materials import Law
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.exits import check_on_exit
+from fenicsmpm.points.geometry import cell_geometry
+from fenicsmpm.simulation.explicit_by_forms import ByForms
+from fenicsmpm.simulation.explicit_checks import check_bodies, check_functions, check_space
+from fenicsmpm.simulation.residual import Residual
+from fenicsmpm.simulation.step import Step
+from fenicsmpm.simulation.unstable import UnstableError
+from fenicsmpm.solvers.checks import check_bcs
+from fenicsmpm.solvers.stopwatch import Stopwatch
+
+logger = logging.getLogger(__name__)
+
+
+class ExplicitMPM:
+    """Explicit dynamics of material points on a background mesh that stays.
+
+    In a step, points give mass, momentum and forces to the nodes (P2G), ``m a = -R`` gives the
+    nodes' accelerations with the lumped mass, new velocities move the points (G2P), and stresses
+    follow from the deformation.
+
+    Args:
+        R: residual of rank 1, internal less external forces [N], tested on the velocity's space:
+            ``formulations.internal_force`` of each body, ``body_force``, ``dead_load``, and terms
+            of one's own over points, cells and facets. The velocity in it is the one of the
+            beginning of the step; inertia is not part of it.
+        velocity: function of a linear Lagrange space with d components, which will hold the
+            nodes' velocity [m/s].
+        bodies: material points with the fields of ``formulations.set_initial_state``. They meet on
+            the grid, without slip; each has averages of J of its own. They see the grid functions
+            chosen by ``basis.use``, otherwise the finite elements of the mesh.
+        carried: further points that move with the grid, such as those that carry loads; each gets
+            a field "u" if it has none.
+        bcs: Dirichlet conditions on velocities: all components for fixed nodes, the normal one
+            for rollers and slip walls.
+        updates: for each point set, more fields to be renewed at the end of a step: UFL over its
+            points with the velocity at the end of the step, or functions that return new arrays.
+        data: called with the times at the beginning and end of each step, to set loads and
+            boundary values of its beginning.
+        on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
+        dt: time step [s]; None for the share ``cfl`` of what is stable, found again at times.
+        cfl: time step times wave speed per cell size.
+        flip: share of FLIP in velocities, the rest is PIC (eq. 13).
+        damping: share of local damping, for static problems.
+
+    Attributes:
+        velocity: of the nodes [m/s], at the end of the last step.
+        acceleration: of the nodes in the last step [m/s^2].
+        mass: of the nodes in the last step [kg].
+        time: [s].
+        number: of steps done.
+        dt: length of the last step [s], before the first of that.
+        bodies: material points.
+        carried: points that move along.
+        laws: law at the points of each body that has one; may be replaced by one of the same kind
+            with other parameters.
+        bcs: may be changed between steps, as may flip, damping and data.
+        reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
+        seconds: time spent in each stage so far [s].
+
+    Raises:
+        TypeError: for a residual that is no form.
+        ValueError: for a residual of another rank, with unknowns, or on another space or mesh;
+            points without their fields; options out of range; no dt for bodies without a law.
+    """
+
+    def __init__(
+        self,
+        R: ufl.Form,
+        velocity: fem.Function,
+        bodies: MaterialPoints | Sequence[MaterialPoints],
+        *,
+        carried: Sequence[MaterialPoints] = (),
+        bcs: Sequence[fem.DirichletBC] = (),
+        updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
+        data: Callable[[float, float], None] | None = None,
+        on_exit: str = "error",
+        dt: float | None = None,
+        cfl: float = 0.4,
+        flip: float = 1.0,
+        damping: float = 0.0,
+    ) -> None:
+        """Check and compile everything (collective)."""
+        if dt is not None:
+            check_time_step(dt)
+        if not (0 < cfl < math.inf and 0 <= flip <= 1 and 0 <= damping < 1):
+            raise ValueError(
+                f"cfl must be positive, flip lie in [0, 1] and damping in [0, 1): {cfl}, {flip}, "
+                f"{damping}"
+            )
+        check_on_exit(on_exit)
+        V = velocity.function_space
+        self.velocity = velocity
+        self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
+        self.carried = list(carried)
+        check_space(V)
+        check_bodies(V, self.bodies, self.carried)
+        check_functions([*self.bodies, *self.carried])
+        check_bcs(bcs, V)
+        self.residual = Residual(R, velocity, self.bodies)
+        self.laws: dict[MaterialPoints, Law] = {
+            body: sigma.law for body, sigma in self.residual.stresses.items()
+        }
+        for points in self.carried:
+            if "u" not in points:
+                points.add_field("u", (V.mesh.geometry.dim,))
+        self.bcs, self.data, self.on_exit = list(bcs), data, on_exit
+        self.flip, self.damping = flip, damping
+        self.time, self.number = 0.0, 0
+        self.reaction = np.zeros(V.mesh.geometry.dim)
+        self.seconds = Stopwatch()
+        self._cfl, self._given_dt, self._warned = cfl, dt, False
+        self._h = _smallest_height(V.mesh)
+        self.dt = self._step_length()
+        self._way = ByForms(self, updates or {})
+        self.mass, self.acceleration = self._way.mass, self._way.acceleration
+
+    # --- steps -------------------------------------------------------------------------------
+
+    def step(self) -> Step:
+        """Do one step (collective).
+
+        Raises:
+            UnstableError: a point is inverted, not finite or outside; all are as before.
+        """
+        removed = self._advance(1, self._step_length())
+        return Step(self.number, self.time, self.dt, removed=removed)
+
+    def run(self, until: float, interval: float | None = None) -> Iterator[Step]:
+        """Do steps until a time (collective).
+
+        Args:
+            until: end [s].
+            interval: time between the steps that are yielded [s]; None for each step.
+
+        Yields:
+            Steps at whose end all points and fields are up to date.
+
+        Raises:
+            UnstableError: a point is inverted, not finite or outside; all points are as they were
+                when ``run`` yielded last, or up to 100 steps before, which is at ``time``.
+            ValueError: for an end that is not finite or an interval that is not positive.
+        """
+        if not math.isfinite(until) or not (interval is None or interval > 0):
+            raise ValueError(f"run until {until} s at intervals of {interval} s")
+        while until - self.time > 1e-9 * self.dt:
+            # from where it is, so that a restart there does the same
+            stop = until if interval is None else min(until, self.time + interval)
+            removed = 0
+            while stop - self.time > 1e-9 * self.dt:
+                # equal steps that end at the stop, none longer than it may be
+                left = stop - self.time
+                steps = max(1, math.ceil(left / self._step_length() - 1e-9))
+                count = min(steps, 1 if interval is None else self._way.longest)
+                removed += self._advance(count, left / steps)
+                if interval is None:
+                    break
+            else:
+                self.time = stop  # without the round-off of the sum of steps
+            yield Step(self.number, self.time, self.dt, removed=removed)
+
+    def _advance(self, steps: int, dt: float) -> int:
+        """Do some steps; how many points left the mesh meanwhile."""
+        before = self.time, self.number
+        self.dt = dt
+        try:
+            return self._way.advance(steps)
+        except BaseException:
+            self.time, self.number = before
+            raise
+
+    def end_of_step(self) -> None:
+        """Count a step."""
+        self.time += self.dt
+        self.number += 1
+
+    # --- checkpoints ---------------------------------------------------------------------------
+
+    @property
+    def method(self) -> str:
+        """Name of the method, for checkpoints."""
+        return type(self).__name__
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """What the next step depends on, beside the points, for checkpoints."""
+        return self._way.memory
+
+    @memory.setter
+    def memory(self, values: Mapping[str, float]) -> None:
+        self._way.memory = values
+
+    # --- time step -----------------------------------------------------------------------------
+
+    def stable_step(self) -> float:
+        """Time that a wave takes through a cell: the limit of stability, about [s] (collective)."""
+        fastest = 0.0
+        for points in self.bodies:
+            if len(points):
+                modulus = self.laws[points].wave_speed_modulus if points in self.laws else 0.0
+                density = float(np.min(points["mass"] / points["V_0"]))
+                speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
+                fastest = max(fastest, speed + math.sqrt(modulus / density))
+        fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
+        return self._h / fastest if fastest > 0 else math.inf
+
+    def _step_length(self) -> float:
+        if self._given_dt is None and len(self.laws) < len(self.bodies):
+            raise ValueError(
+                "no law at points says how fast waves are in a body: give the time step dt"
+            )
+        stable = self.stable_step()
+        dt = self._cfl * stable if self._given_dt is None else self._given_dt
+        if dt > stable and not self._warned:
+            self._warned = True
+            logger.warning(
+                "the time step of %g s is above the limit of stability, about %g s", dt, stable
+            )
+        return dt
+
+    def raise_if(self, messages: list[str]) -> None:
+        """Raise an UnstableError on all ranks if there is a message on any (collective)."""
+        comm = self.velocity.function_space.mesh.comm
+        if comm.size > 1:
+            messages = [m for some in comm.allgather(messages) for m in some]
+        if messages:
+            raise UnstableError(
+                f"step {self.number + 1}, t = {self.time + self.dt:g} s, dt = {self.dt:g} s: "
+                f"{messages[0]}; the stable step is about {self.stable_step():g} s"
+            )
+
+    def __repr__(self) -> str:
+        """Bodies, time, and which way each part of the residual goes."""
+        bodies = ", ".join(
+            f"{body.size_global} points" + (f" of {self.laws[body]}" if body in self.laws else "")
+            for body in self.bodies
+        )
+        return (
+            f"ExplicitMPM: {bodies}\n  {self._way}\n"
+            f"  step {self.number}, t = {self.time:g} s, dt = {self.dt:g} s"
+        )
+
+
+def _smallest_height(mesh: Any) -> float:
+    """Smallest distance of a node of a cell from the opposite facet [m] (collective)."""
+    geometry = cell_geometry(mesh)
+    gradients = geometry.centre_inverse
+    if geometry.is_simplex:
+        gradients = np.concatenate([gradients, gradients.sum(axis=1, keepdims=True)], axis=1)
+    steepest = np.max(np.sum(gradients**2, axis=2), initial=0.0)
+    return 1.0 / math.sqrt(mesh.comm.allreduce(float(steepest), MPI.MAX))

@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: MIT
+"""Explicit steps by forms: any mesh, any grid functions, any residual.
+
+What the fused kernels on lattices do in fewer passes over the points is said here once, in UFL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem, la
+
+from fenicsmpm import _compat, forms
+from fenicsmpm.formulations.fbar import FBar
+from fenicsmpm.formulations.internal_force import (
+    CauchyStress,
+    averaged_J,
+    moved_F,
+)
+from fenicsmpm.formulations.kinematics import embed
+from fenicsmpm.materials import Law, state_of, stress
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.exits import move
+from fenicsmpm.points.migration import PointsOutsideError
+from fenicsmpm.simulation.explicit_checks import functions_of
+from fenicsmpm.transfer import p2g
+from fenicsmpm.transfer.light_nodes import LIGHT, LightNodes
+
+if TYPE_CHECKING:
+    from fenicsmpm.simulation.explicit import ExplicitMPM
+
+Array = npt.NDArray[np.float64]
+
+
+class BodyByForms:
+    """What happens at the points of a body in a step, in UFL.
+
+    Args:
+        points: the body.
+        sigma: its stress by a law at points; None where all of its forces are UFL.
+        averages: how J is averaged for stresses; None for J itself.
+        velocity: on the grid at the end of the step [m/s].
+        increment: by which it has changed [m/s].
+        dt: length of the step [s].
+        flip: share of FLIP in the points' velocities.
+        scalars: space of a scalar on the nodes.
+        updates: further fields to be renewed, see ``ExplicitMPM``.
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        sigma: CauchyStress | None,
+        averages: FBar | None,
+        velocity: fem.Function,
+        increment: fem.Function,
+        dt: fem.Constant,
+        flip: fem.Constant,
+        scalars: fem.FunctionSpace,
+        updates: Mapping[str, Any],
+    ) -> None:
+        """Write down and compile (collective)."""
+        self.points, self._averages = points, averages
+        law = sigma.law if sigma is not None else None
+        gradient = dt * ufl.grad(velocity)
+        f = ufl.Identity(points.mesh.geometry.dim) + gradient
+        F = moved_F(points, f, averages, law is not None and law.is_fluid)
+        fields = {
+            "v": flip * (points.field("v") + increment) + (1 - flip) * velocity,
+            "u": points.field("u") + dt * velocity,
+            "F": F,
+            "J": ufl.det(F),
+            **updates,
+        }
+        if averages is not None:
+            fields["J_bar"] = averaged_J(points, f, averages)
+            self._mean = fem.Function(scalars)
+            self._mean_at_points = forms.PointExpression(self._mean, points)
+        if law is not None and law.needs_rate:
+            fields["L"] = embed(ufl.grad(velocity))
+        self._fields = forms.FieldUpdates(points, fields)
+        self._scalars = scalars
+
+    def momentum(self, space: fem.FunctionSpace) -> Array:
+        """Mass and momentum on the nodes, ``(n_nodes, 1 + d)`` [kg, kg m/s] (collective)."""
+        points = self.points
+        columns = np.column_stack([np.ones(len(points)), points["v"]]) * points["mass"][:, None]
+        return p2g(points, columns, space).array.reshape(-1, columns.shape[1])
+
+    def new_fields(self, law: Law | None) -> dict[str, Array]:
+        """Fields after the step, by the law as it is now; the points stay as they are."""
+        new = self._fields.evaluate()
+        if self._averages is not None:
+            new["J_bar"] = self._average(new["J_bar"])
+        if law is not None:
+            F = new["F"]
+            if self._averages is not None:
+                F = F.copy()
+                dim = self.points.mesh.geometry.dim
+                F[:, :dim] *= ((new["J_bar"] / new["J"]) ** (1 / dim))[:, None, None]
+            state = state_of(law, self.points)
+            new["sigma"] = stress(law, F, new.pop("L", None), state)
+            new |= {name: law.state_field(state, name).copy() for name in law.state}
+        return new
+
+    def _average(self, J: Array) -> Array:
+        """Mean by volume over the grid, at the points (F-bar, equation 19)."""
+        volume = self.points.weight
+        columns = np.column_stack([volume, volume * J])
+        sums = p2g(self.points, columns, self._scalars).array.reshape(-1, 2)
+        where = sums[:, 0] > 0
+        self._mean.x.array[:] = 0.0
+        np.divide(sums[:, 1], sums[:, 0], out=self._mean.x.array, where=where)
+        return self._mean_at_points.evaluate()
+
+
+class ByForms:
+    """The stages of explicit steps, each as a form or a sum on the grid.
+
+    Args:
+        sim: the simulation, whose residual, points and options are taken.
+        updates: further fields to be renewed.
+
+    Attributes:
+        mass: of the nodes in the last step [kg].
+        acceleration: of the nodes in the last step [m/s^2].
+        longest: how many steps may be done before points are up to date.
+    """
+
+    longest = 1
+
+    def __init__(
+        self, sim: ExplicitMPM, updates: Mapping[MaterialPoints, Mapping[str, Any]]
+    ) -> None:
+        """Compile (collective)."""
+        self._sim, residual = sim, sim.residual
+        V = sim.velocity.function_space
+        mesh = V.mesh
+        self._V, self._dim = V, mesh.geometry.dim
+        self._scalars = fem.functionspace(mesh, ("Lagrange", 1))
+        self.mass = fem.Function(self._scalars, name="mass")
+        self.acceleration = fem.Function(V, name="acceleration")
+        self._increment = fem.Function(V, name="increment")
+        self._dt = fem.Constant(mesh, sim.dt)
+        self._flip = fem.Constant(mesh, float(sim.flip))
+        self._force = la.vector(V.dofmap.index_map, self._dim)
+        self._R = forms.form(residual.form)
+        self._bodies = [
+            BodyByForms(
+                body, residual.stresses.get(body), residual.averages.get(body), sim.velocity,
+                self._increment, self._dt, self._flip, self._scalars, updates.get(body, {}),
+            )
+            for body in sim.bodies
+        ]  # fmt: skip
+        self._carried = {
+            points: forms.FieldUpdates(
+                points,
+                {"u": points.field("u") + self._dt * sim.velocity, **updates.get(points, {})},
+            )
+            for points in sim.carried
+        }
+        self._light_nodes = LightNodes(V)
+        self._light = LIGHT[functions_of(sim.bodies[0])]
+
+    def advance(self, steps: int) -> int:
+        """Do steps; if one fails, all points are as before (collective).
+
+        Returns:
+            How many points left the mesh.
+        """
+        moving = [*self._sim.bodies, *self._sim.carried]
+        before = [(points, points.snapshot(copy=False), points.size_global) for points in moving]
+        try:
+            return sum(self._step() for _ in range(steps))
+        except BaseException:
+            for points, arrays, size_global in before:
+                points.restore(arrays, size_global)
+            raise
+
+    def _step(self) -> int:
+        sim, clock = self._sim, self._sim.seconds
+        self._dt.value, self._flip.value = sim.dt, sim.flip
+        if sim.data is not None:
+            sim.data(sim.time, sim.time + sim.dt)
+        with clock("P2G"):
+            self._points_to_grid()
+        with clock("forces"):
+            self._forces()
+        with clock("grid"):
+            self._move_nodes()
+        with clock("G2P"):
+            new = {b.points: b.new_fields(sim.laws.get(b.points)) for b in self._bodies}
+            new |= {points: update.evaluate() for points, update in self._carried.items()}
+        sim.raise_if([m for b in self._bodies if (m := _fault(b.points, new[b.points]))])
+        with clock("convect"):
+            removed = self._convect(new)
+        sim.end_of_step()
+        return removed
+
+    def _points_to_grid(self) -> None:
+        """Mass and velocity of the nodes."""
+        sums = sum(body.momentum(self._V) for body in self._bodies)
+        mass = self.mass.x.array
+        mass[:] = sums[:, 0]
+        # where functions end, round-off may have any sign
+        moving = mass > self._least_mass
+        velocity = np.zeros((len(mass), self._dim))
+        np.divide(sums[:, 1:], mass[:, None], out=velocity, where=moving[:, None])
+        mass[~moving] = 0.0
+        self._sim.velocity.x.array[:] = velocity.ravel()
+
+    def _forces(self) -> None:
+        """Minus the residual, with that of light nodes given to their neighbours."""
+        force = self._force
+        force.array[:] = 0.0
+        forms.assemble_vector(self._R, force)
+        force.scatter_reverse(la.InsertMode.add)
+        force.scatter_forward()
+        nodes = force.array.reshape(-1, self._dim)
+        np.negative(nodes, out=nodes)
+        self._light_nodes.relieve(self.mass.x.array, nodes, self._light)
+
+    def _move_nodes(self) -> None:
+        """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""
+        sim, dt = self._sim, self._sim.dt
+        mass = self.mass.x.array[:, None]
+        v = sim.velocity.x.array.reshape(-1, self._dim)
+        f = self._force.array.reshape(-1, self._dim)
+        nowhere = (mass[:, 0] == 0) & (f != 0).any(axis=1)
+        owned = self._V.dofmap.index_map.size_local
+        sim.raise_if(self._describe_load(np.flatnonzero(nowhere[:owned])))
+        before = v.copy()
+        damped = f - sim.damping * np.abs(f) * np.sign(v)
+        v += np.divide(dt * damped, mass, out=np.zeros_like(f), where=mass > 0)
+        for bc in sim.bcs:
+            _compat.bc_set(bc, sim.velocity.x.array, None, 1.0)
+        sim.velocity.x.scatter_forward()
+        # supported nodes are not damped: the reaction to a body at rest is its weight
+        fixed = np.zeros(v.size, dtype=np.bool_)
+        fixed[_compat.fixed_dofs(sim.bcs)] = True
+        push = np.where(fixed.reshape(v.shape), mass * (v - before) / dt - f, 0.0)
+        sim.reaction = self._V.mesh.comm.allreduce(push[:owned].sum(axis=0))
+        self._increment.x.array[:] = (v - before).ravel()
+        self.acceleration.x.array[:] = self._increment.x.array / dt
+
+    def _describe_load(self, nodes: npt.NDArray[np.intp]) -> list[str]:
+        if not len(nodes):
+            return []
+        where = self._V.tabulate_dof_coordinates()[nodes[0], : self._dim]
+        return [
+            f"a force without material at the node {np.array2string(where, precision=6)}: a load "
+            "is away from all bodies"
+        ]
+
+    def _convect(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> int:
+        """Give points their new fields, and move them."""
+        sim, removed = self._sim, 0
+        for points, fields in new.items():
+            way = fields["u"] - points["u"]
+            points.assign(fields)
+            if points in sim.bodies:
+                points.assign({"weight": points["V_0"] * points["J"]})
+            try:
+                removed += move(points, points.x + way, sim.on_exit)
+            except PointsOutsideError as error:
+                sim.raise_if([f"a point leaves the mesh: {error}"])
+        return removed
+
+    @property
+    def _least_mass(self) -> float:
+        """Far below any point's share in a node whose support it is in [kg]."""
+        least = min(float(np.min(body["mass"], initial=np.inf)) for body in self._sim.bodies)
+        return 1e-16 * self._V.mesh.comm.allreduce(least, MPI.MIN)
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """Nothing."""
+        return {}
+
+    @memory.setter
+    def memory(self, values: Mapping[str, float]) -> None:
+        pass
+
+    def __repr__(self) -> str:
+        """What is done by forms: everything."""
+        return f"by forms: {self._R}"
+
+
+def _fault(points: MaterialPoints, new: Mapping[str, Array]) -> str | None:
+    """What is wrong with a point after a step, and where it is."""
+    J = new["J"] + 0 * new["v"].sum(axis=1)  # no number, if one of both is none
+    stressed = np.isfinite(new["sigma"]).all(axis=(1, 2)) if "sigma" in new else True
+    good = (J > 0) & np.isfinite(J) & stressed
+    if good.all():
+        return None
+    i = int(np.argmin(good))
+    what = (
+        "is inverted"
+        if J[i] <= 0
+        else "has a stress that is not finite"
+        if np.isfinite(J[i])
+        else "is not finite"
+    )
+    where = np.array2string(points.x[i], precision=6)
+    return f"point {points.id[i]} {what} at {where} with J = {J[i]:g}"

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Checks of what an explicit simulation is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dolfinx import fem
+
+from fenicsmpm.basis import is_linear
+from fenicsmpm.points import MaterialPoints
+
+_NEEDED = ("mass", "V_0", "F", "J", "u", "v")
+
+
+def check_space(V: fem.FunctionSpace) -> None:
+    """Raise ValueError for a space that is not one of velocities with a lumped mass.
+
+    Args:
+        V: the space.
+    """
+    element, dim = V.ufl_element(), V.mesh.geometry.dim
+    if not is_linear(element) or V.dofmap.index_map_bs != dim:
+        raise ValueError(
+            f"velocities need a linear Lagrange space with {dim} components, not {element}: "
+            'fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))'
+        )
+
+
+def check_bodies(
+    V: fem.FunctionSpace, bodies: Sequence[MaterialPoints], carried: Sequence[MaterialPoints]
+) -> None:
+    """Raise ValueError for point sets that do not fit together (collective).
+
+    Args:
+        V: space of velocities.
+        bodies: material points.
+        carried: further points that move along.
+    """
+    sets = [*bodies, *carried]
+    if not bodies:
+        raise ValueError("ExplicitMPM needs a body")
+    if len({id(points) for points in sets}) < len(sets):
+        raise ValueError(
+            "a point set is given twice as a body or as carried: select() its loaded points, "
+            "which gives a set of its own"
+        )
+    if any(points.mesh is not V.mesh for points in sets):
+        raise ValueError(
+            "bodies and carried points must be on the mesh of the velocity: bring them there with "
+            "points.from_mesh"
+        )
+    if sum(points.size_global for points in bodies) == 0:
+        raise ValueError("all bodies are empty: there are no points to be moved")
+    for body in bodies:
+        missing = [name for name in _NEEDED if name not in body]
+        if missing:
+            raise ValueError(
+                f"a body without the fields {', '.join(missing)} cannot move: call "
+                "formulations.set_initial_state(points, density) first"
+            )
+
+
+def check_functions(sets: Sequence[MaterialPoints]) -> None:
+    """Raise ValueError if point sets do not see the same grid functions."""
+    names = {functions_of(points) for points in sets}
+    if len(names) > 1:
+        raise ValueError(
+            f"points that see different grid functions: {', '.join(sorted(names))}. Bodies and "
+            "carried points need the same, see basis.use"
+        )
+
+
+def functions_of(points: MaterialPoints) -> str:
+    """Name of the grid functions that points see: "linear" without ``basis.use``."""
+    return "linear" if points.grid_functions is None else points.grid_functions[0]

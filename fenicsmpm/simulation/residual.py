@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""What the residual of explicit steps consists of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.algorithms import extract_coefficients
+from ufl.algorithms.analysis import extract_constants
+from ufl.classes import Sum
+
+from fenicsmpm.formulations.fbar import FBar
+from fenicsmpm.formulations.internal_force import (
+    AveragedJ,
+    CauchyStress,
+    force_work,
+    stress_work,
+)
+from fenicsmpm.points import MaterialPoints
+
+
+class Residual:
+    """A residual of rank 1, taken apart into what the package knows and what it does not.
+
+    Args:
+        R: the form.
+        velocity: grid function on whose space it is tested.
+        bodies: material points whose motion it describes.
+
+    Attributes:
+        form: the whole form.
+        stresses: stress by a law at points of each body that has one.
+        averages: how J is averaged, of each body for which it is.
+        internal: bodies whose internal force is the form's, by a law at points.
+        gravity: force per mass on a body [m/s^2], for bodies with such a term.
+        rest: what is neither of both; None for nothing.
+
+    Raises:
+        TypeError: for what is no form.
+        ValueError: for a form of another rank or on another space, for two laws at the points of a
+            body, and for stresses of points that are no body.
+    """
+
+    def __init__(
+        self, R: ufl.Form, velocity: fem.Function, bodies: Sequence[MaterialPoints]
+    ) -> None:
+        """Take it apart."""
+        self.form = R
+        w = _test_function(R, velocity)
+        self.stresses: dict[MaterialPoints, CauchyStress] = {}
+        self.averages: dict[MaterialPoints, FBar | None] = {}
+        self._find_fields(bodies)
+        self.internal: set[MaterialPoints] = set()
+        self.gravity: dict[MaterialPoints, fem.Constant] = {}
+        rest = []
+        for integral, term in _terms(R):
+            points = _body_of(integral, bodies)
+            if points is not None:
+                sigma = self.stresses.get(points)
+                if sigma and points not in self.internal and term == stress_work(sigma, w):
+                    self.internal.add(points)
+                    continue
+                b = _force_per_mass(term, points, w)
+                if b is not None and points not in self.gravity:
+                    self.gravity[points] = b
+                    continue
+            rest.append(integral.reconstruct(integrand=term))
+        self.rest = ufl.Form(rest) if rest else None
+
+    def _find_fields(self, bodies: Sequence[MaterialPoints]) -> None:
+        """Stresses and averages of the bodies."""
+        for field in self.form.coefficients():
+            if not isinstance(field, CauchyStress | AveragedJ):
+                continue
+            points = field.points
+            if points not in bodies:
+                raise ValueError(
+                    f"the residual has the field {field.name!r} of points that are no body of this "
+                    "simulation: nobody would renew it"
+                )
+            if isinstance(field, CauchyStress):
+                if points in self.stresses:
+                    raise ValueError(
+                        "a body with two laws at its points: there is one internal_force a body; "
+                        "write further stresses in UFL"
+                    )
+                self.stresses[points] = field
+            if self.averages.setdefault(points, field.averages) != field.averages:
+                raise ValueError("averages of J of two kinds for one body")
+
+
+def _test_function(R: Any, velocity: fem.Function) -> ufl.Argument:
+    if not isinstance(R, ufl.Form):
+        raise TypeError(f"a residual must be a UFL form, not {type(R).__name__}: {R}")
+    arguments = R.arguments()
+    if len(arguments) != 1:
+        raise ValueError(
+            f"the residual of explicit steps must be of rank 1, not {len(arguments)}: it is tested "
+            "with one test function, and nothing in it is unknown (no trial function)"
+        )
+    space = arguments[0].ufl_function_space()
+    if space != velocity.function_space:
+        raise ValueError(
+            "the residual is tested on another function space than that of the velocity: use "
+            "ufl.TestFunction(velocity.function_space)"
+        )
+    return arguments[0]
+
+
+def _terms(R: ufl.Form) -> Iterator[tuple[ufl.Integral, Any]]:
+    """Integrals with the terms of their integrands."""
+    for integral in R.integrals():
+        pending = [integral.integrand()]
+        while pending:
+            term = pending.pop()
+            if isinstance(term, Sum):
+                pending.extend(reversed(term.ufl_operands))
+            else:
+                yield integral, term
+
+
+def _body_of(integral: ufl.Integral, bodies: Sequence[MaterialPoints]) -> MaterialPoints | None:
+    """The body over all of whose points an integral is taken; None for another one."""
+    points = integral.subdomain_data()
+    whole = integral.subdomain_id() == "everywhere" and not integral.metadata()
+    return points if whole and any(points is body for body in bodies) else None
+
+
+def _force_per_mass(term: Any, points: MaterialPoints, w: ufl.Argument) -> fem.Constant | None:
+    """The constant b of a term -rho b . w; None for another term."""
+    constants = extract_constants(term)
+    if len(constants) != 1 or len(extract_coefficients(term)) != 2:
+        return None
+    b = constants[0]
+    is_vector = isinstance(b, fem.Constant) and b.ufl_shape == w.ufl_shape
+    return b if is_vector and term == force_work(points, b, w) else None

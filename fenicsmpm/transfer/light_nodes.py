@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""Forces at nodes of nearly no mass.
+
+A point that has just entered a cell gives its far nodes hardly any mass, but with linear functions
+its full share of the stress. Explicit steps are then unstable, however short: an element whose node
+has the share s of its mass needs ``(c dt / h)^2 < 4 s``. So a node whose mass is below a share of
+the mean around it takes less of the force, and what is left goes to the nodes around it in
+proportion to their masses: momentum is kept. Its velocity stays momentum by mass.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+
+Array = npt.NDArray[np.float64]
+
+# Share of the mean mass around a node from which on it is light. Splines and uGIMP give a node as
+# little force as mass, so only round-off has to be kept from what divides by nearly nothing.
+LIGHT = {"linear": 0.1, "gimp": 1e-8, "quadratic": 1e-8, "cubic": 1e-8}
+# Loads act at surfaces, where functions of all kinds end
+LIGHT_FOR_LOADS = 0.01
+
+
+class LightNodes:
+    """What is done with forces at nodes of nearly no mass.
+
+    Args:
+        space: Lagrange space of degree 1, scalar or blocked, whose nodes are taken (collective).
+    """
+
+    def __init__(self, space: fem.FunctionSpace) -> None:
+        """Count the nodes of the cells around each node."""
+        self._space = space
+        topology = space.mesh.topology
+        self._cells = space.dofmap.list[: topology.index_map(topology.dim).size_local]
+        nodes = space.dofmap.index_map
+        self._counts = self._sum_over_cells(np.ones((nodes.size_local + nodes.num_ghosts, 1)))
+
+    def relieve(self, mass: Array, force: Array, threshold: float) -> None:
+        """Move forces from light nodes to those around them (collective).
+
+        Args:
+            mass: ``(n_nodes,)`` of all local nodes, ghosts up to date [kg].
+            force: ``(n_nodes, d)`` the same of forces [N], changed in place.
+            threshold: share of the mean mass around a node, below which it is light.
+        """
+        total = self._sum_over_cells(mass[:, None])
+        limit = threshold * (total / self._counts)[:, 0]
+        light = mass < limit
+        if not self._space.mesh.comm.allreduce(bool(force[light].any())):
+            return
+        given = np.zeros_like(force)
+        given[light] = (1 - mass[light] / limit[light])[:, None] * force[light]
+        force -= given
+        given[light] /= total[light]
+        force += mass[:, None] * self._sum_over_cells(given)
+
+    def _sum_over_cells(self, values: Array) -> Array:
+        """Sum of nodal values ``(n_nodes, k)`` over all nodes of all cells at each node."""
+        result = la.vector(self._space.dofmap.index_map, values.shape[1])
+        result.array[:] = 0.0
+        sums = result.array.reshape(values.shape)
+        _add_cells(self._cells, values, sums)
+        result.scatter_reverse(la.InsertMode.add)
+        result.scatter_forward()
+        return sums
+
+
+@numba.njit(cache=True)
+def _add_cells(cells: Any, values: Any, sums: Any) -> None:
+    total = np.empty(values.shape[1])
+    for c in range(len(cells)):
+        total[:] = 0.0
+        for a in cells[c]:
+            for k in range(len(total)):
+                total[k] += values[a, k]
+        for a in cells[c]:
+            for k in range(len(total)):
+                sums[a, k] += total[k]
