@@ -39,9 +39,10 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
+import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import explicit, io, points
+from fenicsmpm import ExplicitMPM, UnstableError, basis, formulations, io, points
 from fenicsmpm.diagnostics import mean_stress
 from fenicsmpm.materials import NewtonianFluid
 
@@ -51,8 +52,8 @@ GRAVITY = 9.81  # m/s^2
 WATER = NewtonianFluid(kappa=2e9, mu=1e-3)
 AVERAGES = {
     "F-bar": "default",
-    "algorithm-1": explicit.ALGORITHM_1,
-    "true-J": explicit.TRUE_J,
+    "algorithm-1": formulations.ALGORITHM_1,
+    "true-J": formulations.TRUE_J,
     "standard": None,
 }
 BASES = {"quadratic": "B-splines", "gimp": "uGIMP"}
@@ -91,22 +92,18 @@ def build(case, wall):
         MPI.COMM_WORLD, [lower, upper], shape, mesh.CellType.quadrilateral
     )
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    sides = explicit.roller(V, 0, lambda x: (x[0] < 1e-9) | (x[0] > wall - 1e-9))
-    floor = explicit.roller(V, 1, lambda x: (x[1] < 1e-9) | (x[1] > 6 - 1e-9))
+    sides = formulations.roller(V, 0, lambda x: (x[0] < 1e-9) | (x[0] > wall - 1e-9))
+    floor = formulations.roller(V, 1, lambda x: (x[1] < 1e-9) | (x[1] > 6 - 1e-9))
     return V, [sides, floor]
 
 
 def start(case, V, bcs, water, damping):
-    return explicit.ExplicitMPM(
-        V,
-        {water: WATER},
-        basis=case.basis,
-        bcs=bcs,
-        gravity=(0.0, -GRAVITY),
-        dt=case.dt,
-        damping=damping,
-        fbar=AVERAGES[case.averages],
-    )
+    size = {"half_size": case.h / case.per_side / 2} if case.basis == "gimp" else {}
+    basis.use(water, case.basis, **size)
+    v, w = fem.Function(V), ufl.TestFunction(V)
+    R = formulations.internal_force(w, water, WATER, fbar=AVERAGES[case.averages])
+    R += formulations.body_force(w, water, (0.0, -GRAVITY))
+    return ExplicitMPM(R, v, water, bcs=bcs, dt=case.dt, damping=damping)
 
 
 # First stage: gravity, with damping. The pressure at rest is known.
@@ -119,7 +116,7 @@ def fill(case, seconds=0.3):
         return (x > 0).all(axis=1) & (x[:, 0] < LENGTH) & (x[:, 1] < HEIGHT)
 
     water = points.lattice(V.mesh, case.h / case.per_side, inside=inside)
-    explicit.set_initial_state(water, WATER, DENSITY)
+    formulations.set_initial_state(water, DENSITY)
     sim = start(case, V, bcs, water, damping=0.5)
     io.say(f"{case.label()}: {water.size_global} material points, steps of {sim.dt:.3g} s")
     for _ in io.watch(sim.run(seconds, seconds / 10), seconds, "filling"):
@@ -151,7 +148,7 @@ def run(case, until, pictures=()):
             history.append((t, upper[0], water.volume / (LENGTH * HEIGHT) - 1, low, high))
             if any(abs(t - shot) < interval / 2 for shot in pictures):
                 shots.append(snapshot(water, f"{case.label()}, t = {t:.2f} s"))
-    except explicit.UnstableError as failure:
+    except UnstableError as failure:
         io.say(f"  it ends {sim.time:.3f} s after the gate: {failure}")
     return sim, np.array(history).reshape(-1, 5), shots, error
 

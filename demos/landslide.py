@@ -30,9 +30,10 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
+import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import explicit, io, points
+from fenicsmpm import ExplicitMPM, UnstableError, basis, formulations, io, points
 from fenicsmpm.materials import VonMises
 
 CREST, BASE, HEIGHT, WIDTH = 10.0, 15.0, 5.0, 5.0  # m
@@ -41,7 +42,7 @@ PEAK, RESIDUAL, REDUCTION = 50e3, 3e3, 1.65  # yield stresses, Pa
 SETTLING = 1.0  # s of gravity with damping, before the failure
 AVERAGES = {
     "F-bar": "default",
-    "algorithm-1": explicit.ALGORITHM_1,
+    "algorithm-1": formulations.ALGORITHM_1,
     "standard": None,
 }
 BASES = {"quadratic": "B-splines", "gimp": "uGIMP"}
@@ -80,26 +81,20 @@ def build(case):
 
     body = points.lattice(domain, case.h / 2, inside=slope)
     law = clay()
-    explicit.set_initial_state(body, law, DENSITY)
+    basis.use(body, case.basis, **({"half_size": case.h / 4} if case.basis == "gimp" else {}))
+    formulations.set_initial_state(body, DENSITY)
     V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
     bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 0))
     end = cells[0] * case.h
     bcs = [
         fem.dirichletbc(np.zeros(3), bottom, V),
-        explicit.roller(V, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], end)),
-        explicit.roller(V, 1, lambda x: np.isclose(x[1], 0) | np.isclose(x[1], WIDTH)),
+        formulations.roller(V, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], end)),
+        formulations.roller(V, 1, lambda x: np.isclose(x[1], 0) | np.isclose(x[1], WIDTH)),
     ]
-    return explicit.ExplicitMPM(
-        V,
-        {body: law},
-        basis=case.basis,
-        bcs=bcs,
-        gravity=(0.0, 0.0, -GRAVITY),
-        dt=case.dt,
-        cfl=0.35,
-        damping=0.5,
-        fbar=AVERAGES[case.averages],
-    )
+    v, w = fem.Function(V), ufl.TestFunction(V)
+    R = formulations.internal_force(w, body, law, fbar=AVERAGES[case.averages])
+    R += formulations.body_force(w, body, (0.0, 0.0, -GRAVITY))
+    return ExplicitMPM(R, v, body, bcs=bcs, dt=case.dt, cfl=0.35, damping=0.5)
 
 
 # Until `SETTLING` it is damped and as strong as it was; then not.
@@ -136,7 +131,7 @@ def run(case, until, output, restart=False, interval=0.05, seconds_between_saves
                 if len(series.times) * seconds_between_saves < step.time - SETTLING + 1e-9:
                     series.write(step.time)
                     io.checkpoint.save(checkpoint, sim)
-        except explicit.UnstableError as error:
+        except UnstableError as error:
             io.say(f"  it ends at t = {sim.time - SETTLING:.3f} s: {error}")
     return sim, np.column_stack(list(io.read_history(table).values()))
 

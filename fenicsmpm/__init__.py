@@ -22,13 +22,16 @@ from fenicsmpm import (
     transfer,
 )
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.simulation import ImplicitMPM
+from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, RigidBox, UnstableError
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "ExplicitMPM",
     "ImplicitMPM",
     "MaterialPoints",
+    "RigidBox",
+    "UnstableError",
     "basis",
     "cells",
     "diagnostics",

@@ -155,9 +155,14 @@ def test_meshes_with_holes():
 @pytest.mark.skipif(COMM.size == 1, reason="nothing is hidden from one rank")
 def test_ranks_that_do_not_see_enough_say_so_together():
     body = points.fill(quadrilaterals(ghost_mode=mesh.GhostMode.none), 1)
+    seen = body.copy()
+    basis.use(body, "quadratic")
     with pytest.raises(ValueError, match="shared_vertex_partitioner"):
-        basis.use(body, "quadratic")
-    basis.use(body, "linear")
+        p2g(body, body.weight, fem.functionspace(body.mesh, ("Lagrange", 1)))
+    basis.use(seen, "linear")
+    total = p2g(seen, seen.weight, fem.functionspace(seen.mesh, ("Lagrange", 1)))
+    owned = total.index_map.size_local
+    assert COMM.allreduce(total.array[:owned].sum()) == pytest.approx(seen.volume)
 
 
 @pytest.mark.parametrize(

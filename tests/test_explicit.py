@@ -10,8 +10,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from dolfinx import fem, mesh
+from explicit_runs import simulate
 
-from fenicsmpm import explicit, io, points
+from fenicsmpm import RigidBox, UnstableError, formulations, io, points
 from fenicsmpm.diagnostics import mean_stress, momentum, roughness
 from fenicsmpm.materials import (
     Hencky,
@@ -48,7 +49,7 @@ def block(dim, law=RUBBER, velocity=None, comm=COMM, n=10, spacing=0.05):
         return (np.abs(from_centre).max(axis=1) < 0.2) & (from_centre.sum(axis=1) < 0.16 * dim)
 
     body = points.lattice(domain, spacing, inside=inside)
-    explicit.set_initial_state(body, law, 2.0, velocity)
+    formulations.set_initial_state(body, 2.0, velocity)
     return body, fem.functionspace(domain, ("Lagrange", 1, (dim,))), centre
 
 
@@ -67,7 +68,7 @@ def test_momentum_of_a_free_block(basis, dim):
         return 0.05 * np.sin(7 * x[:, ::-1]) + 0.5
 
     body, V, _ = block(dim, velocity=velocity)
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, basis=basis)
+    sim = simulate(V, {body: RUBBER}, functions=basis)
     before = momentum(body)
     for _ in sim.run(20.5 * sim.dt, 10 * sim.dt):
         pass
@@ -83,18 +84,18 @@ def test_homogeneous_deformation(basis, dim):
     rate = np.array([[0.3, -0.8, 0.2], [0.5, -0.2, 0.1], [-0.3, 0.4, 0.1]])[:dim, :dim]
     for fbar in (
         None,
-        explicit.FBar(),
-        explicit.ALGORITHM_1,
-        explicit.TRUE_J,
-        explicit.FBar(0.1, 0.1),
+        formulations.FBar(),
+        formulations.ALGORITHM_1,
+        formulations.TRUE_J,
+        formulations.FBar(0.1, 0.1),
     ):
         centre = SHIFT[:dim] + 0.5
         body, V, _ = block(dim, velocity=lambda x: (x - SHIFT[:dim] - 0.5) @ rate.T)
         value = fem.Function(V)
         value.interpolate(lambda x: rate @ (x[:dim] - centre[:, None]))
         everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
-        sim = explicit.ExplicitMPM(
-            V, {body: RUBBER}, basis=basis, dt=1e-3, fbar=fbar,
+        sim = simulate(
+            V, {body: RUBBER}, functions=basis, dt=1e-3, fbar=fbar,
             bcs=[fem.dirichletbc(value, everything)],
         )  # fmt: skip
         X = in_order(body, "x")
@@ -132,7 +133,7 @@ def test_rigid_rotation(dim):
         value.interpolate(lambda x: velocity(x.T[:, :dim]).T)
         everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
         bcs = [] if free else [fem.dirichletbc(value, everything)]
-        sim = explicit.ExplicitMPM(V, {body: RUBBER}, cfl=0.1, bcs=bcs)
+        sim = simulate(V, {body: RUBBER}, cfl=0.1, bcs=bcs)
         for _ in sim.run(0.2, 0.1):
             pass
         angle = spin * sim.time
@@ -152,7 +153,7 @@ def test_load_and_gravity(dim):
     load.add_field("force", (dim,), np.arange(1.0, dim + 1))
     start = load.x.copy()
     g = np.array([0.0, -3.0, 1.0])[:dim]
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, gravity=g, loads=[load])
+    sim = simulate(V, {body: RUBBER}, gravity=g, loads=[load])
     for _ in range(5):
         sim.step()
     force = load["force"].sum(axis=0) + g * body["mass"].sum()
@@ -166,7 +167,7 @@ def test_reaction_of_a_support():
     corners = [(0, 0), (0.125, 1)]
     domain = mesh.create_rectangle(COMM, corners, [8, 64], mesh.CellType.quadrilateral)
     body = points.lattice(domain, 1 / 128, inside=lambda x: x[:, 1] < 0.5)
-    explicit.set_initial_state(body, RUBBER, 2.0)
+    formulations.set_initial_state(body, 2.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     zero = fem.Constant(domain, 0.0)
     places = {0: lambda x: np.isclose(x[0] * (0.125 - x[0]), 0), 1: lambda x: np.isclose(x[1], 0)}
@@ -175,7 +176,7 @@ def test_reaction_of_a_support():
         part = V.sub(k)
         dofs = fem.locate_dofs_geometrical((part, part.collapse()[0]), place)[0]
         walls.append(fem.dirichletbc(zero, dofs, part))
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, gravity=(0, -1), bcs=walls, damping=0.7)
+    sim = simulate(V, {body: RUBBER}, gravity=(0, -1), bcs=walls, damping=0.7)
     for _ in sim.run(2.0, 1.0):
         pass
     weight = body["mass"].sum()
@@ -212,7 +213,7 @@ def test_materials_in_a_shear_flow(law, dim):
     value = fem.Function(V)
     value.interpolate(lambda x: rate @ (x[:dim] - centre[:, None]))
     everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
-    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3, bcs=[fem.dirichletbc(value, everything)])
+    sim = simulate(V, {body: law}, dt=1e-3, bcs=[fem.dirichletbc(value, everything)])
     F, L, state = np.eye(3)[None], np.zeros((1, 3, 3)), law.initial_state(1)
     L[0, :dim, :dim] = rate
     for _ in range(10):
@@ -238,13 +239,13 @@ def test_a_rigid_box_is_not_entered(speed, dim):
     top = centre[-1] - 0.21
     lower, upper = np.full(dim, -np.inf), np.full(dim, np.inf)
     upper[-1] = top
-    floor = explicit.RigidBox(lower, upper, reach=0.02)
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, rigid=[floor], dt=2e-4 if speed > 1 else None)
+    floor = RigidBox(lower, upper, reach=0.02)
+    sim = simulate(V, {body: RUBBER}, rigid=[floor], dt=2e-4 if speed > 1 else None)
     before, impulse = momentum(body), np.zeros(dim)
     for _ in range(20 if speed > 1 else 60):
         try:
             sim.step()
-        except explicit.UnstableError:  # crushed, but not pushed through
+        except UnstableError:  # crushed, but not pushed through
             assert speed > 1
             break
         impulse += sim.dt * floor.force
@@ -258,12 +259,10 @@ def test_friction_of_a_rigid_box(friction):
     """A block that slides on a moving floor: without slip it goes with it."""
     body, V, centre = block(2)
     upper = np.array([np.inf, centre[1] - 0.2])
-    floor = explicit.RigidBox(
+    floor = RigidBox(
         [-np.inf, -np.inf], upper, reach=0.02, velocity=lambda t: (0.3, 0.0), friction=friction
     )
-    sim = explicit.ExplicitMPM(
-        V, {body: RUBBER}, rigid=[floor], gravity=(0.0, -2.0), flip=0.95, fbar=None
-    )
+    sim = simulate(V, {body: RUBBER}, rigid=[floor], gravity=(0.0, -2.0), flip=0.95, fbar=None)
     normal, tangential = 0.0, 0.0
     for _ in range(150):
         sim.step()
@@ -288,7 +287,7 @@ def test_wrong_boxes():
         (((0, 0), (1, 1), 0.1, 0.0, -1.0), "no negative friction"),
     ):
         with pytest.raises(ValueError, match=message):
-            explicit.RigidBox(*arguments)
+            RigidBox(*arguments)
 
 
 @compiled
@@ -301,7 +300,7 @@ def test_a_law_with_a_state_and_without_branches():
     """Would be compiled for eight points, of which each has a state of its own."""
     law = Law(counting, np.zeros(0), 1.0, state={"calls": ((), 0.0)}, needs_rate=False)
     body, V, _ = block(2, law)
-    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3)
+    sim = simulate(V, {body: law}, dt=1e-3)
     for _ in sim.run(5e-3):
         pass
     assert np.all(body["calls"] == 5)
@@ -309,7 +308,7 @@ def test_a_law_with_a_state_and_without_branches():
 
 def test_a_law_may_change_its_parameters_only():
     body, V, _ = block(2, VonMises(100.0, 0.3, sigma_y=2.0))
-    sim = explicit.ExplicitMPM(V, {body: VonMises(100.0, 0.3, sigma_y=2.0)})
+    sim = simulate(V, {body: VonMises(100.0, 0.3, sigma_y=2.0)})
     sim.laws[body] = VonMises(100.0, 0.3, sigma_y=1.0)
     sim.step()
     sim.laws[body] = Hencky(100.0, 0.3)
@@ -325,9 +324,9 @@ def test_averages_remove_a_checkerboard():
     body["F"], body["J"] = F, np.linalg.det(F)
     law = NeoHookean(E=1.0, nu=0.499).pointwise()
     rough = {}
-    for name, fbar in (("standard", None), ("averaged", explicit.TRUE_J)):
+    for name, fbar in (("standard", None), ("averaged", formulations.TRUE_J)):
         copy = body.copy()
-        explicit.ExplicitMPM(V, {copy: law}, fbar=fbar, dt=1e-6).step()
+        simulate(V, {copy: law}, fbar=fbar, dt=1e-6).step()
         p = mean_stress(copy["sigma"])
         rough[name] = roughness(copy, p, 0.025)
     assert rough["averaged"] < 0.2 * rough["standard"]
@@ -340,7 +339,7 @@ def test_the_same_on_any_number_of_ranks(tmp_path):
             return np.column_stack([0 * x[:, 0] + 1.0, np.sin(5 * x[:, 0])])
 
         body, V, _ = block(2, velocity=velocity, comm=comm, n=12)
-        sim = explicit.ExplicitMPM(V, {body: RUBBER}, flip=0.98)
+        sim = simulate(V, {body: RUBBER}, flip=0.98)
         for _ in sim.run(0.15, 0.05):
             pass
         return in_order(body, "x"), in_order(body, "sigma")
@@ -356,7 +355,7 @@ def test_restart_goes_on_bit_by_bit(tmp_path):
 
     def start():
         body, V, _ = block(2, velocity=lambda x: np.sin(7 * x))
-        return explicit.ExplicitMPM(V, {body: RUBBER}), body
+        return simulate(V, {body: RUBBER}), body
 
     sim, body = start()
     for _ in range(60):
@@ -376,18 +375,18 @@ def test_restart_goes_on_bit_by_bit(tmp_path):
 def test_what_fails_leaves_the_points_as_they_were(caplog, monkeypatch):
     monkeypatch.setattr(logging.getLogger("fenicsmpm"), "propagate", True)
     body, V, _ = block(2, velocity=lambda x: np.sin(20 * x))
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, dt=1.0)
+    sim = simulate(V, {body: RUBBER}, dt=1.0)
     assert "above the limit of stability, about" in caplog.text
     before = body.snapshot()
-    with pytest.raises(explicit.UnstableError, match=r"step \d+, t = .* point \d+ .* J = "):
+    with pytest.raises(UnstableError, match=r"step \d+, t = .* point \d+ .* J = "):
         list(sim.run(200.0, 50.0))
     for name, array in before.items():
         assert np.array_equal(body[name], array), name
     assert (sim.time, sim.number) == (0.0, 0)
 
     body, V, _ = block(2, velocity=lambda x: np.tile([5.0, 0.0], (len(x), 1)))
-    sim = explicit.ExplicitMPM(V, {body: RUBBER})
-    with pytest.raises(explicit.UnstableError, match="leaves the lattice"):
+    sim = simulate(V, {body: RUBBER})
+    with pytest.raises(UnstableError, match="leaves the lattice"):
         for _ in sim.run(1.0, 0.01):
             assert body.x[:, 0].max() <= SHIFT[0] + 1.0
 
@@ -402,8 +401,8 @@ def test_what_is_not_finite_is_seen_where_all_nodes_are_held():
     body, V, _ = block(2, law)
     everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
     bc = fem.dirichletbc(np.zeros(2), everything, V)
-    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3, bcs=[bc])
-    with pytest.raises(explicit.UnstableError, match="is not finite"):
+    sim = simulate(V, {body: law}, dt=1e-3, bcs=[bc])
+    with pytest.raises(UnstableError, match="is not finite"):
         for _ in range(3):
             sim.step()
     assert np.all(body["v"] == 0)
@@ -415,18 +414,18 @@ def test_wrong_input():
     W = fem.functionspace(triangles, ("Lagrange", 1, (2,)))
     other = points.fill(triangles, 1)
     with pytest.raises(ValueError, match="axis-parallel boxes"):
-        explicit.ExplicitMPM(W, {other: RUBBER})
+        simulate(W, {other: RUBBER})
     new = points.fill(V.mesh, 1)
     with pytest.raises(ValueError, match=r"without the fields mass, .*set_initial_state"):
-        explicit.ExplicitMPM(V, {new: RUBBER})
+        simulate(V, {new: RUBBER})
     with pytest.raises(ValueError, match="without the fields C_p_inverse, eps_p"):
-        explicit.ExplicitMPM(V, {body: VonMises(1.0, 0.3, sigma_y=1.0)})
+        simulate(V, {body: VonMises(1.0, 0.3, sigma_y=1.0)})
     with pytest.raises(ValueError, match="field 'force'"):
-        explicit.ExplicitMPM(V, {body: RUBBER}, loads=[new])
+        simulate(V, {body: RUBBER}, loads=[new])
     with pytest.raises(ValueError, match="needs a body"):
-        explicit.ExplicitMPM(V, {})
+        simulate(V, {})
     with pytest.raises(ValueError, match="linear Lagrange space with 2 components"):
-        explicit.ExplicitMPM(fem.functionspace(V.mesh, ("Lagrange", 2, (2,))), {body: RUBBER})
+        simulate(fem.functionspace(V.mesh, ("Lagrange", 2, (2,))), {body: RUBBER})
     for options, message in (
         ({"basis": "quartic"}, "no grid functions 'quartic'"),
         ({"dt": 0.0}, "time step must be positive"),
@@ -435,10 +434,10 @@ def test_wrong_input():
         ({"cfl": np.nan}, "cfl"),
     ):
         with pytest.raises(ValueError, match=message):
-            explicit.ExplicitMPM(V, {body: RUBBER}, **options)
+            simulate(V, {body: RUBBER}, **options)
     with pytest.raises(ValueError, match="r of F-bar"):
-        explicit.FBar(r=-0.1)
-    sim = explicit.ExplicitMPM(V, {body: RUBBER})
+        formulations.FBar(r=-0.1)
+    sim = simulate(V, {body: RUBBER})
     for until, interval in ((np.inf, None), (1.0, 0.0)):
         with pytest.raises(ValueError, match="run until"):
             next(sim.run(until, interval))
@@ -450,19 +449,19 @@ def test_the_paper_s_time_step():
     domain = mesh.create_rectangle(COMM, [(0, 0), (8, 8)], [8, 8], mesh.CellType.quadrilateral)
     body = points.fill(domain, 2, inside=lambda x: x[:, 0] < 4)
     law = NeoHookean(E=70.0, nu=0.499).pointwise()
-    explicit.set_initial_state(body, law, 1.0)
+    formulations.set_initial_state(body, 1.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    assert explicit.ExplicitMPM(V, {body: law}, cfl=0.3).dt == pytest.approx(2.773e-3, rel=5e-4)
+    assert simulate(V, {body: law}, cfl=0.3).dt == pytest.approx(2.773e-3, rel=5e-4)
 
 
 def test_memory_of_points_in_space():
     """All arrays at once, also while points are sorted; of a grid with far fewer nodes."""
     body, V, _ = block(3)
-    explicit.ExplicitMPM(V, {body: RUBBER}).step()  # compiles
+    simulate(V, {body: RUBBER}).step()  # compiles
     tracemalloc.start()
     try:
         body, V, _ = block(3, spacing=0.0125)
-        sim = explicit.ExplicitMPM(V, {body: RUBBER})
+        sim = simulate(V, {body: RUBBER})
         tracemalloc.reset_peak()
         for _ in sim.run(sim.time + 110 * sim.dt, 110 * sim.dt):
             pass

@@ -10,8 +10,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from dolfinx import fem, mesh
+from explicit_runs import simulate
 
-from fenicsmpm import explicit, io, points
+from fenicsmpm import RigidBox, UnstableError, formulations, io, points
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
 from fenicsmpm.diagnostics import mean_stress, momentum
 from fenicsmpm.explicit.grid import Nodes
@@ -31,7 +32,7 @@ def box(lower, upper, law=RUBBER, velocity=None, comm=COMM, n=10, V=None):
     body = points.lattice(
         V.mesh, 0.5 / n, inside=lambda x: np.all((x > lower) & (x < upper), axis=1)
     )
-    explicit.set_initial_state(body, law, 2.0, velocity)
+    formulations.set_initial_state(body, 2.0, velocity)
     return body, V
 
 
@@ -62,7 +63,7 @@ def test_functions_at_walls_are_those_of_the_basis(kind):
         assert 0 <= min(firsts) and max(firsts) <= cells + 1 - width
 
 
-@pytest.mark.parametrize("fbar", ["default", explicit.TRUE_J, explicit.ALGORITHM_1])
+@pytest.mark.parametrize("fbar", ["default", formulations.TRUE_J, formulations.ALGORITHM_1])
 def test_bodies_keep_their_own_volumes(fbar):
     """A squeezed soft body beside one that cannot be: averages of J must not mix."""
     soft = NeoHookean(E=1.0, nu=0.0).pointwise()
@@ -71,7 +72,7 @@ def test_bodies_keep_their_own_volumes(fbar):
     right, _ = box((0.5, 0.3), (0.8, 0.7), hard, V=V)
     left["F"] = np.diag([0.8, 0.8, 1.0])
     left["J"] = left["J_bar"] = 0.64
-    sim = explicit.ExplicitMPM(V, {left: soft, right: hard}, dt=1e-7, fbar=fbar)
+    sim = simulate(V, {left: soft, right: hard}, dt=1e-7, fbar=fbar)
     sim.step()
     assert right["J_bar"] == pytest.approx(1.0, abs=1e-7)
     assert np.abs(mean_stress(right["sigma"])).max() < 1e-3
@@ -82,7 +83,7 @@ def test_bodies_keep_their_own_volumes(fbar):
 def test_bodies_that_meet_keep_momentum_and_do_not_mix():
     left, V = box((0.2, 0.3), (0.45, 0.7), velocity=lambda x: np.tile([1.0, 0], (len(x), 1)))
     right, _ = box((0.55, 0.3), (0.8, 0.7), velocity=lambda x: np.tile([-1.0, 0], (len(x), 1)), V=V)
-    sim = explicit.ExplicitMPM(V, {left: RUBBER, right: RUBBER})
+    sim = simulate(V, {left: RUBBER, right: RUBBER})
     for _ in sim.run(0.15, 0.05):
         assert momentum(left) + momentum(right) == pytest.approx([0, 0], abs=1e-12)
         assert left.bounds[1][0] < right.bounds[0][0]
@@ -98,7 +99,7 @@ def test_a_load_on_the_surface_pushes_all_of_the_body_and_stays_there(basis):
     x = np.column_stack([np.full(12, 0.5001), y]) if COMM.rank == 0 else np.empty((0, 2))
     load = points.MaterialPoints(V.mesh, x, weight=1.0)
     load.add_field("force", (2,), (0.05, 0.0))
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, loads=[load], basis=basis)
+    sim = simulate(V, {body: RUBBER}, loads=[load], functions=basis)
     for _ in sim.run(0.45, 0.09):
         assert momentum(body) == pytest.approx([12 * 0.05 * sim.time, 0.0], rel=1e-12, abs=1e-12)
     gap = load.bounds[0][0] - body.bounds[1][0], load.bounds[1][0] - body.bounds[1][0]
@@ -110,8 +111,8 @@ def test_a_load_away_from_all_bodies():
     body, V = box((0.2, 0.2), (0.5, 0.5))
     load = points.MaterialPoints(V.mesh, [(0.85, 0.85)], weight=1.0)
     load.add_field("force", (2,), (0.3, 0.1))
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, loads=[load])
-    with pytest.raises(explicit.UnstableError, match="point 0 of a load is away from all bodies"):
+    sim = simulate(V, {body: RUBBER}, loads=[load])
+    with pytest.raises(UnstableError, match="point 0 of a load is away from all bodies"):
         sim.step()
     assert (sim.time, sim.number) == (0.0, 0)
 
@@ -124,7 +125,7 @@ def test_a_reaction_does_not_depend_on_ranks():
         value.interpolate(lambda x: np.vstack([np.sin(5 * x[0] + x[1]), x[0] / 3]))
         everywhere = fem.locate_dofs_geometrical(V, lambda x: x[0] < 0.55)
         bc = fem.dirichletbc(value, everywhere)
-        sim = explicit.ExplicitMPM(V, {body: RUBBER}, bcs=[bc], dt=1e-4)
+        sim = simulate(V, {body: RUBBER}, bcs=[bc], dt=1e-4)
         for _ in range(3):
             sim.step()
         return sim.reaction
@@ -145,10 +146,10 @@ def test_a_box_that_fails_leaves_the_points_as_they_were(interval):
         (0.19, np.nan, "velocity of a rigid box must be finite"),
     ):
         body, V = box((0.2, 0.3), (0.5, 0.7))
-        wall = explicit.RigidBox([-np.inf] * 2, [upper, np.inf], 0.01, velocity=(velocity, 0.0))
-        sim = explicit.ExplicitMPM(V, {body: RUBBER}, rigid=[wall], dt=4e-3)
+        wall = RigidBox([-np.inf] * 2, [upper, np.inf], 0.01, velocity=(velocity, 0.0))
+        sim = simulate(V, {body: RUBBER}, rigid=[wall], dt=4e-3)
         before = body.snapshot()
-        with pytest.raises((explicit.UnstableError, ValueError), match=message):
+        with pytest.raises((UnstableError, ValueError), match=message):
             next(sim.run(1.0, interval * sim.dt))
         assert unchanged(body, before)
         assert (sim.time, sim.number, wall.moved[0]) == (0.0, 0, 0.0)
@@ -161,11 +162,11 @@ def test_all_at_once_is_the_same_on_any_number_of_ranks():
     def run(comm):
         clay = VonMises(100.0, 0.45, sigma_y=2.0)
         body, V = box((0.2, 0.0), (0.7, 0.6), clay, comm=comm)
-        wall = explicit.RigidBox([-np.inf] * 2, [0.195, np.inf], 0.02, velocity=(0.4, 0.0))
+        wall = RigidBox([-np.inf] * 2, [0.195, np.inf], 0.02, velocity=(0.4, 0.0))
         load = body.select(lambda x: x[:, 1] > 0.56)
         load.add_field("force", (2,), (0.0, -0.05))
-        floor = explicit.roller(V, 1, lambda x: np.isclose(x[1], 0))
-        sim = explicit.ExplicitMPM(
+        floor = formulations.roller(V, 1, lambda x: np.isclose(x[1], 0))
+        sim = simulate(
             V, {body: clay}, rigid=[wall], loads=[load], bcs=[floor], gravity=(0.0, -1.0)
         )
         for _ in sim.run(0.2, 0.05):
@@ -194,14 +195,12 @@ def test_restart_between_intervals_goes_on_bit_by_bit(tmp_path):
         body, V = box((0.2, 0.3), (0.5, 0.7), VonMises(100.0, 0.4, sigma_y=1.0))
         law = VonMises(100.0, 0.4, sigma_y=1.0)
         wall = [
-            explicit.RigidBox(
-                [-np.inf] * 2, [0.2 - 0.02 * (k + 1), np.inf], 0.02, velocity=(0.5, 0)
-            )
+            RigidBox([-np.inf] * 2, [0.2 - 0.02 * (k + 1), np.inf], 0.02, velocity=(0.5, 0))
             for k in range(boxes)
         ]
         load = body.select(lambda x: x[:, 0] > 0.46)
         load.add_field("force", (2,), (-1e-2, 3e-2))
-        return explicit.ExplicitMPM(V, {body: law}, rigid=wall, loads=[load]), body
+        return simulate(V, {body: law}, rigid=wall, loads=[load]), body
 
     sim, body = start()
     for k, _ in enumerate(sim.run(0.1, 0.013)):
@@ -234,13 +233,13 @@ def late_nan(F, L, parameters, state, sigma):
 def test_a_stress_that_is_not_finite_is_not_handed_out():
     law = Law(late_nan, np.empty(0), 1.0, state={"count": ((), 0.0)}, needs_rate=False)
     body, V = box((0.2, 0.2), (0.5, 0.5), law)
-    sim = explicit.ExplicitMPM(V, {body: law}, dt=1e-3)
+    sim = simulate(V, {body: law}, dt=1e-3)
     body["count"][13] = 1.0
     where = np.array2string(body.x[13], precision=6)
     sim.step()
     before = body.snapshot()
     message = f"point {body.id[13]} has a stress that is not finite at {where}"
-    with pytest.raises(explicit.UnstableError, match=re.escape(message)):
+    with pytest.raises(UnstableError, match=re.escape(message)):
         sim.step()
     assert unchanged(body, before) and sim.number == 1
 
@@ -255,8 +254,8 @@ def test_the_true_J_is_drawn_to_its_average_by_strain(rate):
     motion = fem.Function(V)
     motion.interpolate(lambda x: L @ x[:2])
     held = fem.dirichletbc(motion, np.arange(V.dofmap.index_map.size_local, dtype=np.int32))
-    fbar = explicit.FBar(r=0.3, s=s)
-    explicit.ExplicitMPM(V, {body: RUBBER}, bcs=[held], dt=dt, fbar=fbar).step()
+    fbar = formulations.FBar(r=0.3, s=s)
+    simulate(V, {body: RUBBER}, bcs=[held], dt=dt, fbar=fbar).step()
     strain = dt * rate * math.sqrt(2 + 0.5)
     J = 1 + min(s * strain, 1.0) * 0.02
     expected = math.sqrt(J) * (np.eye(2) + dt * L)
@@ -274,9 +273,9 @@ def tait(F, L, parameters, state, sigma):
 def test_a_fluid_of_one_s_own_flows():
     """Its averages are those of fluids, and of F only J is kept."""
     water = Law(tait, np.array([100.0]), 100.0, needs_rate=False, is_fluid=True)
-    assert explicit.default_fbar(water) == explicit.FBar(r=0.3, s=100.0)
+    assert formulations.default_fbar(water) == formulations.FBar(r=0.3, s=100.0)
     body, V = box((0.2, 0.2), (0.5, 0.5), water, lambda x: np.column_stack([x[:, 1], 0 * x[:, 0]]))
-    sim = explicit.ExplicitMPM(V, {body: water})
+    sim = simulate(V, {body: water})
     for _ in range(5):
         sim.step()
     assert body["F"][:, 0, 1] == pytest.approx(0.0, abs=1e-15)
@@ -293,10 +292,10 @@ def test_wrong_sets():
         MPI.COMM_SELF, [(0, 0), (1, 1)], [20, 5], mesh.CellType.quadrilateral
     )
     large = points.lattice(thin, 0.1, inside=lambda x: x[:, 0] < 0.5)
-    explicit.set_initial_state(large, RUBBER, 1.0)
+    formulations.set_initial_state(large, 1.0)
     W = fem.functionspace(thin, ("Lagrange", 1, (2,)))
     body.add_field("force", (2,))
-    flat = explicit.RigidBox([0.0], [0.1], reach=0.01)
+    flat = RigidBox([0.0], [0.1], reach=0.01)
     for space, bodies, options, message in (
         (V, [body], {"loads": [body]}, "given twice"),
         (V, [body], {"loads": [load, load]}, "given twice"),
@@ -308,8 +307,8 @@ def test_wrong_sets():
         (V, [body], {"gravity": (0.0, np.nan)}, "gravity must be 2 finite numbers"),
     ):
         with pytest.raises(ValueError, match=message):
-            explicit.ExplicitMPM(space, dict.fromkeys(bodies, RUBBER), **options)
-    sim = explicit.ExplicitMPM(V, {body: RUBBER, nothing: RUBBER})
+            simulate(space, dict.fromkeys(bodies, RUBBER), **options)
+    sim = simulate(V, {body: RUBBER, nothing: RUBBER})
     sim.step()
     assert len(nothing) == 0
 
@@ -317,5 +316,5 @@ def test_wrong_sets():
 def test_a_share_of_the_wave_s_time_above_one_is_warned_of(caplog, monkeypatch):
     body, V = box((0.2, 0.2), (0.5, 0.5))
     monkeypatch.setattr(logging.getLogger("fenicsmpm"), "propagate", True)
-    explicit.ExplicitMPM(V, {body: RUBBER}, cfl=3.0)
+    simulate(V, {body: RUBBER}, cfl=3.0)
     assert "above the limit of stability, about" in caplog.text

@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from explicit_runs import simulate
 from test_explicit import RUBBER, block
 
-from fenicsmpm import explicit
+from fenicsmpm import RigidBox
 from fenicsmpm.diagnostics import momentum, roughness
 
 
@@ -15,7 +16,7 @@ def test_pic_flip_and_a_blend():
     for flip in (1.0, 0.0, 0.25):
         body, V, _ = block(2, velocity=lambda x: np.sin(40 * x))
         before = body["v"][np.argsort(body.id)]
-        explicit.ExplicitMPM(V, {body: RUBBER}, flip=flip, dt=1e-4, fbar=None).step()
+        simulate(V, {body: RUBBER}, flip=flip, dt=1e-4, fbar=None).step()
         v[flip] = body["v"][np.argsort(body.id)]
     assert v[1.0] == pytest.approx(before, abs=1e-12)
     assert np.abs(v[0.0] - before).max() > 0.1
@@ -27,9 +28,9 @@ def test_barrier_of_a_rigid_box():
     body, V, _ = block(2)
     d, r, k, dt = 0.006, 0.02, 0.1, 1e-4
     lowest = body.x[:, 1].min()
-    floor = explicit.RigidBox([-np.inf] * 2, [np.inf, lowest - d], reach=r, stiffness=k)
+    floor = RigidBox([-np.inf] * 2, [np.inf, lowest - d], reach=r, stiffness=k)
     m = body["mass"][np.isclose(body.x[:, 1], lowest)].sum()
-    explicit.ExplicitMPM(V, {body: RUBBER}, rigid=[floor], dt=dt).step()
+    simulate(V, {body: RUBBER}, rigid=[floor], dt=dt).step()
     s = d / r
     expected = k * m * r / dt**2 * (2 * (s - 1) * np.log(s) + (s - 1) ** 2 / s)
     assert floor.force == pytest.approx([0.0, expected], rel=1e-9)
@@ -40,9 +41,9 @@ def test_friction_by_hand(speed):
     """What friction allows, or less if that stops the slip in this step."""
     body, V, _ = block(2, velocity=lambda x: np.tile((speed, 0.0), (len(x), 1)))
     dt, lowest = 1e-4, body.x[:, 1].min()
-    floor = explicit.RigidBox([-np.inf] * 2, [np.inf, lowest - 0.006], reach=0.02, friction=0.3)
+    floor = RigidBox([-np.inf] * 2, [np.inf, lowest - 0.006], reach=0.02, friction=0.3)
     m = body["mass"][np.isclose(body.x[:, 1], lowest)].sum()
-    explicit.ExplicitMPM(V, {body: RUBBER}, rigid=[floor], dt=dt).step()
+    simulate(V, {body: RUBBER}, rigid=[floor], dt=dt).step()
     to_stop = m * speed / dt
     assert floor.force[0] == pytest.approx(-min(0.3 * floor.force[1], to_stop), rel=1e-9)
     assert (to_stop > 0.3 * floor.force[1]) == (speed > 1)
@@ -61,8 +62,8 @@ def test_loads_and_boxes_that_depend_on_time():
         load["force"] = np.outer(share, (0.0, 3.0 + 1e3 * time))
 
     far = [-2.0, -2.0], [-1.0, -1.0]
-    wall = explicit.RigidBox(*far, reach=0.01, velocity=lambda t: (5.0 * t, 0.0))
-    sim = explicit.ExplicitMPM(V, {body: RUBBER}, dt=dt, loads=[load], rigid=[wall], data=data)
+    wall = RigidBox(*far, reach=0.01, velocity=lambda t: (5.0 * t, 0.0))
+    sim = simulate(V, {body: RUBBER}, dt=dt, loads=[load], rigid=[wall], data=data)
     for _ in range(steps):
         sim.step()
     starts = dt * np.arange(steps)
@@ -76,8 +77,8 @@ def test_the_stable_step_knows_the_speed_of_points():
     still, V_still, _ = block(2)
     c = np.sqrt(RUBBER.wave_speed_modulus / 2.0)
     h = 0.1
-    at_rest = explicit.ExplicitMPM(V_still, {still: RUBBER}, cfl=0.3).dt
-    moving = explicit.ExplicitMPM(V, {body: RUBBER}, cfl=0.3).dt
+    at_rest = simulate(V_still, {still: RUBBER}, cfl=0.3).dt
+    moving = simulate(V, {body: RUBBER}, cfl=0.3).dt
     assert at_rest == pytest.approx(0.3 * h / c)
     assert moving == pytest.approx(0.3 * h / (c + 5.0))
 

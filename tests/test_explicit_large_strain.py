@@ -8,8 +8,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from dolfinx import fem, mesh
+from explicit_runs import simulate
 
-from fenicsmpm import explicit, points
+from fenicsmpm import formulations, points
 from fenicsmpm.diagnostics import mean_stress, probe
 from fenicsmpm.materials import NeoHookean
 
@@ -29,15 +30,13 @@ def bend(fbar, basis):
 
     body = points.lattice(domain, H / 2, inside=inside)
     law = NeoHookean(E=1.7e7, nu=0.499).pointwise()
-    explicit.set_initial_state(body, law, 1100.0, lambda x: np.outer(x[:, 2], (5 / 3, 0, 0)))
+    formulations.set_initial_state(body, 1100.0, lambda x: np.outer(x[:, 2], (5 / 3, 0, 0)))
     tip = body.select(lambda x: (np.abs(x - (0.5, 0.5, 6)) < H / 2).all(axis=1))
     tip.add_field("force", (3,))
     V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
     base = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 0))
     bc = fem.dirichletbc(np.zeros(3), base, V)
-    sim = explicit.ExplicitMPM(
-        V, {body: law}, basis=basis, bcs=[bc], cfl=0.3, fbar=fbar, loads=[tip]
-    )
+    sim = simulate(V, {body: law}, functions=basis, bcs=[bc], cfl=0.3, fbar=fbar, loads=[tip])
     for _ in sim.run(PEAK, PEAK):
         pass
     table = np.loadtxt(REFERENCE, delimiter=",")

@@ -10,8 +10,9 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 from energy_bodies import MATERIALS, block
+from explicit_runs import simulate
 
-from fenicsmpm import ImplicitMPM, diagnostics, explicit, forms, formulations, io, points
+from fenicsmpm import ImplicitMPM, diagnostics, forms, formulations, io, points
 from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import PointsOutsideError
@@ -172,7 +173,7 @@ def test_load_without_material_and_tied_nodes():
 def test_explicit_supports(kind):
     domain = mesh.create_unit_square(COMM, 4, 4, mesh.CellType.quadrilateral)
     body, law = points.fill(domain, 2), Hencky(1.0, 0.3)
-    explicit.set_initial_state(body, law, 1.0)
+    formulations.set_initial_state(body, 1.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     if kind == "nowhere":
         bc = held(V, lambda x: x[0] > 7)
@@ -183,7 +184,7 @@ def test_explicit_supports(kind):
         bc = fem.dirichletbc(0.0, dofs, other)
         message = "another function space"
     with pytest.raises(ValueError, match=message):
-        explicit.ExplicitMPM(V, {body: law}, bcs=[bc])
+        simulate(V, {body: law}, bcs=[bc])
 
 
 # --- several ranks -------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy.typing as npt
 
 from fenicsmpm.basis.lagrange import LagrangeStencil, is_linear
-from fenicsmpm.basis.lattice_stencil import LatticeStencil
+from fenicsmpm.basis.lattice_stencil import LatticeStencil, half_size_in_cells
 from fenicsmpm.basis.partition import shared_vertex_partitioner
 from fenicsmpm.basis.stencil import PointStencil
 
@@ -44,16 +44,17 @@ def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = Non
         half_size: half of the initial size of a point in m, ``(d,)`` or one number; for "gimp".
 
     Raises:
-        ValueError: on all ranks, for points that are in use already, meshes that are no lattices
-            or whose ranks do not see enough of it (see ``shared_vertex_partitioner``), and sizes
-            that are not positive or larger than half a cell.
+        ValueError: on all ranks, for points that are in use already, meshes that are no lattices,
+            and sizes that are not positive or larger than half a cell. The first form over the
+            points, or sum on the grid, raises one if ranks do not see enough of the mesh for it
+            (see ``shared_vertex_partitioner``); explicit steps need none.
     """
     if points in _stencils:
         raise ValueError(
             "grid functions chosen for points that have been used already: choose them before the "
             "first form over the points and the first sum on the grid"
         )
-    _stencils[points] = LatticeStencil(points, name, half_size)
+    half_size_in_cells(points.mesh, name, half_size)
     points.grid_functions = (name, half_size)
 
 

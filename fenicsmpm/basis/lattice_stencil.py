@@ -54,8 +54,7 @@ class LatticeStencil:
             ValueError: on all ranks, for meshes that are no lattices, sizes that are not positive
                 or larger than half a cell, and ranks that do not see all nodes that they need.
         """
-        if name not in KINDS:
-            raise ValueError(f"no grid functions {name!r}: there are {', '.join(KINDS)}")
+        self._half = half_size_in_cells(points.mesh, name, half_size)
         self.name = name
         self._kind = KINDS[name]
         # A strong reference would keep the points alive as key of the stencil registry.
@@ -63,7 +62,6 @@ class LatticeStencil:
         mesh = points.mesh
         self._lattice = lattice = lattice_of(mesh)
         self._dim = len(lattice.shape)
-        self._half = self._check_half_size(half_size)
         self._width = WIDTH[self._kind]
         self.groups_are_cells = self._kind in (LINEAR, CUBIC)
         self.kind = f"{'cells' if self.groups_are_cells else 'nodes'} {self._width}"
@@ -75,27 +73,6 @@ class LatticeStencil:
         self._version = -1
         self._order = self._offsets = np.empty(0, dtype=np.int64)
         self._tables: dict[int, npt.NDArray[np.float64]] = {}
-
-    def _check_half_size(self, half_size: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
-        """In units of a cell; one half for those who do not need it."""
-        spacing = self._lattice.spacing
-        if (half_size is not None) != (self._kind == GIMP):
-            raise ValueError(
-                "half_size is the size of points for 'gimp', which needs it, and for nothing else: "
-                f"{self.name!r} with half_size={half_size!r}"
-            )
-        if half_size is None:
-            return np.full(self._dim, 0.5)
-        half = np.array(half_size, dtype=np.float64)
-        if half.shape not in ((), (self._dim,)):
-            raise ValueError(f"half_size of shape {half.shape} in {self._dim} dimensions")
-        half = half / spacing
-        if not np.all((half > 0) & (half <= 0.5 + 1e-9)):
-            raise ValueError(
-                f"half_size must be above 0 and at most half a cell, {spacing / 2} m, not "
-                f"{half_size!r}"
-            )
-        return np.minimum(half, 0.5)
 
     # --- groups ------------------------------------------------------------------------------
 
@@ -259,6 +236,44 @@ class LatticeStencil:
         _mark_cells(values, self._offsets, corners, self.least, seen)
         group, step = np.nonzero(seen)
         return np.unique(self._lattice.cells(self._first[group] + steps[step]))
+
+
+def half_size_in_cells(
+    mesh: Any, name: str, half_size: npt.ArrayLike | None
+) -> npt.NDArray[np.float64]:
+    """Half of the points' size in units of a cell, ``(d,)``; one half where it is not needed.
+
+    Collective.
+
+    Args:
+        mesh: a lattice.
+        name: of the grid functions.
+        half_size: in m, ``(d,)`` or one number, for uGIMP.
+
+    Raises:
+        ValueError: on all ranks, for unknown names, meshes that are no lattices, and sizes that
+            are not positive or larger than half a cell.
+    """
+    if name not in KINDS:
+        raise ValueError(f"no grid functions {name!r}: there are {', '.join(KINDS)}")
+    spacing = lattice_of(mesh).spacing
+    dim = len(spacing)
+    if (half_size is not None) != (KINDS[name] == GIMP):
+        raise ValueError(
+            "half_size is the size of points for 'gimp', which needs it, and for nothing else: "
+            f"{name!r} with half_size={half_size!r}"
+        )
+    if half_size is None:
+        return np.full(dim, 0.5)
+    half = np.array(half_size, dtype=np.float64)
+    if half.shape not in ((), (dim,)):
+        raise ValueError(f"half_size of shape {half.shape} in {dim} dimensions")
+    half = half / spacing
+    if not np.all((half > 0) & (half <= 0.5 + 1e-9)):
+        raise ValueError(
+            f"half_size must be above 0 and at most half a cell, {spacing / 2} m, not {half_size!r}"
+        )
+    return np.minimum(half, 0.5)
 
 
 def _leaves(element: Any) -> list[Any]:

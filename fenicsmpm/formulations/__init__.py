@@ -7,6 +7,7 @@ from fenicsmpm.formulations.boundary import (
     follower_pressure,
     normal_update,
     penalty_dirichlet,
+    roller,
     set_normals,
 )
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
@@ -75,6 +76,7 @@ __all__ = [
     "penalty_dirichlet",
     "ppp",
     "residuals",
+    "roller",
     "set_initial_state",
     "set_normals",
     "stabilized",

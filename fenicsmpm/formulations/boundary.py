@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Loads and constraints on boundary points, which move through the grid with the body.
+"""Loads and constraints on boundary points, which move through the grid with the body; rollers.
 
 Boundary points have the areas (lengths in 2D) of the undeformed boundary as weights, and are
 given to the time loop as ``carried`` points.
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
+from dolfinx import fem
 
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.mixed import parts
@@ -184,3 +185,21 @@ def _vector(value: Any, points: MaterialPoints, what: str) -> Any:
     if vector.ufl_shape != (dim,):
         raise ValueError(f"{what} needs {dim} components, but has the shape {vector.ufl_shape}")
     return vector
+
+
+def roller(
+    V: fem.FunctionSpace, component: int, where: Callable[[npt.NDArray[np.float64]], Any]
+) -> fem.DirichletBC:
+    """Condition that one component of the velocity is zero: a roller, or a slip wall.
+
+    Args:
+        V: space of velocities, with d components.
+        component: normal to the wall.
+        where: function of positions ``(3, n)`` to marks ``(n,)`` of the nodes on the wall.
+
+    Returns:
+        The condition on that component of V.
+    """
+    part = V.sub(component)
+    dofs = fem.locate_dofs_geometrical((part, part.collapse()[0]), where)[0]
+    return fem.dirichletbc(fem.Constant(V.mesh, 0.0), dofs, part)

@@ -4,6 +4,7 @@
 from fenicsmpm.simulation.audit import AuditedMPM, Balance, StepAudit
 from fenicsmpm.simulation.explicit import ExplicitMPM
 from fenicsmpm.simulation.implicit import ImplicitMPM
+from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 
@@ -12,6 +13,7 @@ __all__ = [
     "Balance",
     "ExplicitMPM",
     "ImplicitMPM",
+    "RigidBox",
     "Step",
     "StepAudit",
     "UnstableError",

@@ -115,7 +115,7 @@ class ExplicitMPM:
         check_bodies(V, self.bodies, self.carried)
         check_functions([*self.bodies, *self.carried])
         check_bcs(bcs, V)
-        self.residual = Residual(R, velocity, self.bodies)
+        self.residual = Residual(R, velocity, self.bodies, self.carried)
         self.laws: dict[MaterialPoints, Law] = {
             body: sigma.law for body, sigma in self.residual.stresses.items()
         }

@@ -30,7 +30,7 @@ from fenicsmpm.points.exits import move
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.transfer import p2g
-from fenicsmpm.transfer.light_nodes import LIGHT, LightNodes
+from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS, LightNodes
 
 if TYPE_CHECKING:
     from fenicsmpm.simulation.explicit import ExplicitMPM
@@ -47,6 +47,7 @@ class BodyByForms:
         averages: how J is averaged for stresses; None for J itself.
         velocity: on the grid at the end of the step [m/s].
         increment: by which it has changed [m/s].
+        straining: velocity on the grid whose gradient deforms the points [m/s].
         dt: length of the step [s].
         flip: share of FLIP in the points' velocities.
         scalars: space of a scalar on the nodes.
@@ -60,6 +61,7 @@ class BodyByForms:
         averages: FBar | None,
         velocity: fem.Function,
         increment: fem.Function,
+        straining: fem.Function,
         dt: fem.Constant,
         flip: fem.Constant,
         scalars: fem.FunctionSpace,
@@ -68,34 +70,35 @@ class BodyByForms:
         """Write down and compile (collective)."""
         self.points, self._averages = points, averages
         law = sigma.law if sigma is not None else None
-        gradient = dt * ufl.grad(velocity)
-        f = ufl.Identity(points.mesh.geometry.dim) + gradient
+        f = ufl.Identity(points.mesh.geometry.dim) + dt * ufl.grad(straining)
         F = moved_F(points, f, averages, law is not None and law.is_fluid)
-        fields = {
+        motion = {
             "v": flip * (points.field("v") + increment) + (1 - flip) * velocity,
             "u": points.field("u") + dt * velocity,
-            "F": F,
-            "J": ufl.det(F),
-            **updates,
         }
+        fields = {"F": F, "J": ufl.det(F), **updates}
         if averages is not None:
             fields["J_bar"] = averaged_J(points, f, averages)
             self._mean = fem.Function(scalars)
             self._mean_at_points = forms.PointExpression(self._mean, points)
         if law is not None and law.needs_rate:
-            fields["L"] = embed(ufl.grad(velocity))
-        self._fields = forms.FieldUpdates(points, fields)
+            fields["L"] = embed(ufl.grad(straining))
+        self._motion = forms.FieldUpdates(points, motion)
+        self._strain = forms.FieldUpdates(points, fields)
         self._scalars = scalars
 
-    def momentum(self, space: fem.FunctionSpace) -> Array:
+    def momentum(self, space: fem.FunctionSpace, v: Array) -> Array:
         """Mass and momentum on the nodes, ``(n_nodes, 1 + d)`` [kg, kg m/s] (collective)."""
-        points = self.points
-        columns = np.column_stack([np.ones(len(points)), points["v"]]) * points["mass"][:, None]
-        return p2g(points, columns, space).array.reshape(-1, columns.shape[1])
+        columns = np.column_stack([np.ones(len(v)), v]) * self.points["mass"][:, None]
+        return p2g(self.points, columns, space).array.reshape(-1, columns.shape[1])
 
-    def new_fields(self, law: Law | None) -> dict[str, Array]:
-        """Fields after the step, by the law as it is now; the points stay as they are."""
-        new = self._fields.evaluate()
+    def moved(self) -> dict[str, Array]:
+        """Velocities "v" and displacements "u" after the step; the points stay as they are."""
+        return self._motion.evaluate()
+
+    def strained(self, law: Law | None) -> dict[str, Array]:
+        """Other fields after the step, by the law as it is now; the points stay as they are."""
+        new = self._strain.evaluate()
         if self._averages is not None:
             new["J_bar"] = self._average(new["J_bar"])
         if law is not None:
@@ -150,14 +153,29 @@ class ByForms:
         self._dt = fem.Constant(mesh, sim.dt)
         self._flip = fem.Constant(mesh, float(sim.flip))
         self._force = la.vector(V.dofmap.index_map, self._dim)
-        self._R = forms.form(residual.form)
+        # loads act at surfaces, where more nodes are light
+        self._forms = [
+            (forms.form(part), light)
+            for part, light in ((residual.at_bodies, LIGHT), (residual.elsewhere, LIGHT_FOR_LOADS))
+            if part is not None
+        ]
+        self._maps_back = functions_of(sim.bodies[0]) == "linear"
+        self._straining = fem.Function(V) if self._maps_back else sim.velocity
         self._bodies = [
             BodyByForms(
-                body, residual.stresses.get(body), residual.averages.get(body), sim.velocity,
-                self._increment, self._dt, self._flip, self._scalars, updates.get(body, {}),
+                body,
+                residual.stresses.get(body),
+                residual.averages.get(body),
+                sim.velocity,
+                self._increment,
+                self._straining,
+                self._dt,
+                self._flip,
+                self._scalars,
+                updates.get(body, {}),
             )
             for body in sim.bodies
-        ]  # fmt: skip
+        ]
         self._carried = {
             points: forms.FieldUpdates(
                 points,
@@ -166,7 +184,6 @@ class ByForms:
             for points in sim.carried
         }
         self._light_nodes = LightNodes(V)
-        self._light = LIGHT[functions_of(sim.bodies[0])]
 
     def advance(self, steps: int) -> int:
         """Do steps; if one fails, all points are as before (collective).
@@ -195,7 +212,13 @@ class ByForms:
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):
-            new = {b.points: b.new_fields(sim.laws.get(b.points)) for b in self._bodies}
+            new = {body.points: body.moved() for body in self._bodies}
+        if self._maps_back:
+            with clock("P2G"):
+                self._map_back(new)
+        with clock("G2P"):
+            for body in self._bodies:
+                new[body.points] |= body.strained(sim.laws.get(body.points))
             new |= {points: update.evaluate() for points, update in self._carried.items()}
         sim.raise_if([m for b in self._bodies if (m := _fault(b.points, new[b.points]))])
         with clock("convect"):
@@ -205,26 +228,48 @@ class ByForms:
 
     def _points_to_grid(self) -> None:
         """Mass and velocity of the nodes."""
-        sums = sum(body.momentum(self._V) for body in self._bodies)
-        mass = self.mass.x.array
-        mass[:] = sums[:, 0]
+        v = {body.points: body.points["v"] for body in self._bodies}
+        mass = self._nodal_velocity(v, self._sim.velocity)
+        self.mass.x.array[:] = mass
+
+    def _nodal_velocity(self, v: Mapping[MaterialPoints, Array], result: fem.Function) -> Array:
+        """Velocity of the nodes from those of the points; mass of the nodes [kg]."""
+        sums = sum(body.momentum(self._V, v[body.points]) for body in self._bodies)
+        mass = sums[:, :1]
         # where functions end, round-off may have any sign
-        moving = mass > self._least_mass
-        velocity = np.zeros((len(mass), self._dim))
-        np.divide(sums[:, 1:], mass[:, None], out=velocity, where=moving[:, None])
-        mass[~moving] = 0.0
-        self._sim.velocity.x.array[:] = velocity.ravel()
+        mass[mass <= self._least_mass] = 0.0
+        velocity = result.x.array.reshape(-1, self._dim)
+        velocity[:] = 0.0
+        np.divide(sums[:, 1:], mass, out=velocity, where=mass > 0)
+        return mass[:, 0]
+
+    def _map_back(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> None:
+        """Strain linear functions by the points' new velocities, mapped back to the nodes.
+
+        A node that points hardly reach has hardly any mass, but with linear functions their full
+        share of stress. Its velocity changes by any amount, and would deform the points; they
+        themselves get a share of it that is as small as its mass (D. Sulsky, S.-J. Zhou, H. L.
+        Schreyer, Computer Physics Communications 87, 1995).
+        """
+        v = {body.points: new[body.points]["v"] for body in self._bodies}
+        self._nodal_velocity(v, self._straining)
+        for bc in self._sim.bcs:
+            _compat.bc_set(bc, self._straining.x.array, None, 1.0)
+        self._straining.x.scatter_forward()
 
     def _forces(self) -> None:
         """Minus the residual, with that of light nodes given to their neighbours."""
         force = self._force
-        force.array[:] = 0.0
-        forms.assemble_vector(self._R, force)
-        force.scatter_reverse(la.InsertMode.add)
-        force.scatter_forward()
-        nodes = force.array.reshape(-1, self._dim)
-        np.negative(nodes, out=nodes)
-        self._light_nodes.relieve(self.mass.x.array, nodes, self._light)
+        total = np.zeros_like(force.array)
+        for form, light in self._forms:
+            force.array[:] = 0.0
+            forms.assemble_vector(form, force)
+            force.scatter_reverse(la.InsertMode.add)
+            force.scatter_forward()
+            nodes = force.array.reshape(-1, self._dim)
+            self._light_nodes.relieve(self.mass.x.array, nodes, light)
+            total -= force.array
+        force.array[:] = total
 
     def _move_nodes(self) -> None:
         """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""
@@ -289,7 +334,7 @@ class ByForms:
 
     def __repr__(self) -> str:
         """What is done by forms: everything."""
-        return f"by forms: {self._R}"
+        return "by forms: " + "; ".join(f"{form}" for form, _ in self._forms)
 
 
 def _fault(points: MaterialPoints, new: Mapping[str, Array]) -> str | None:

@@ -8,9 +8,10 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
-from ufl.algorithms import extract_coefficients
+from ufl.algorithms import extract_arguments, extract_coefficients, replace
 from ufl.algorithms.analysis import extract_constants
-from ufl.classes import Sum
+from ufl.classes import Derivative, GeometricQuantity, Sum
+from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.formulations.internal_force import (
@@ -20,6 +21,10 @@ from fenicsmpm.formulations.internal_force import (
     stress_work,
 )
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import PointField
+
+# Fields of carried points that change as they move
+_CHANGING = ("x", "u")
 
 
 class Residual:
@@ -29,6 +34,7 @@ class Residual:
         R: the form.
         velocity: grid function on whose space it is tested.
         bodies: material points whose motion it describes.
+        carried: points that move along.
 
     Attributes:
         form: the whole form.
@@ -36,7 +42,12 @@ class Residual:
         averages: how J is averaged, of each body for which it is.
         internal: bodies whose internal force is the form's, by a law at points.
         gravity: force per mass on a body [m/s^2], for bodies with such a term.
-        rest: what is neither of both; None for nothing.
+        loads: force per weight of carried points, as UFL over them, for those with one that needs
+            no function on the grid.
+        at_bodies: all integrals over points of bodies; None for none.
+        elsewhere: all others, over carried points, cells and facets; None for none.
+        rest_at_bodies: what of the former is neither internal force nor gravity; None for nothing.
+        rest_elsewhere: what of the latter is no load; None for nothing.
 
     Raises:
         TypeError: for what is no form.
@@ -45,7 +56,11 @@ class Residual:
     """
 
     def __init__(
-        self, R: ufl.Form, velocity: fem.Function, bodies: Sequence[MaterialPoints]
+        self,
+        R: ufl.Form,
+        velocity: fem.Function,
+        bodies: Sequence[MaterialPoints],
+        carried: Sequence[MaterialPoints],
     ) -> None:
         """Take it apart."""
         self.form = R
@@ -55,9 +70,10 @@ class Residual:
         self._find_fields(bodies)
         self.internal: set[MaterialPoints] = set()
         self.gravity: dict[MaterialPoints, fem.Constant] = {}
-        rest = []
+        self.loads: dict[MaterialPoints, Any] = {}
+        rest_at_bodies, rest_elsewhere = [], []
         for integral, term in _terms(R):
-            points = _body_of(integral, bodies)
+            points = _set_of(integral, bodies)
             if points is not None:
                 sigma = self.stresses.get(points)
                 if sigma and points not in self.internal and term == stress_work(sigma, w):
@@ -67,8 +83,16 @@ class Residual:
                 if b is not None and points not in self.gravity:
                     self.gravity[points] = b
                     continue
+            points = _set_of(integral, carried)
+            if points is not None and _is_dead(term, w):
+                self.loads[points] = self.loads.get(points, 0) + _per_weight(term, w)
+                continue
+            rest = rest_at_bodies if _is_over(integral, bodies) else rest_elsewhere
             rest.append(integral.reconstruct(integrand=term))
-        self.rest = ufl.Form(rest) if rest else None
+        integrals = R.integrals()
+        self.at_bodies = _form([i for i in integrals if _is_over(i, bodies)])
+        self.elsewhere = _form([i for i in integrals if not _is_over(i, bodies)])
+        self.rest_at_bodies, self.rest_elsewhere = _form(rest_at_bodies), _form(rest_elsewhere)
 
     def _find_fields(self, bodies: Sequence[MaterialPoints]) -> None:
         """Stresses and averages of the bodies."""
@@ -122,11 +146,37 @@ def _terms(R: ufl.Form) -> Iterator[tuple[ufl.Integral, Any]]:
                 yield integral, term
 
 
-def _body_of(integral: ufl.Integral, bodies: Sequence[MaterialPoints]) -> MaterialPoints | None:
-    """The body over all of whose points an integral is taken; None for another one."""
+def _form(integrals: list[ufl.Integral]) -> ufl.Form | None:
+    return ufl.Form(integrals) if integrals else None
+
+
+def _is_over(integral: ufl.Integral, bodies: Sequence[MaterialPoints]) -> bool:
+    return any(integral.subdomain_data() is body for body in bodies)
+
+
+def _set_of(integral: ufl.Integral, sets: Sequence[MaterialPoints]) -> MaterialPoints | None:
+    """The point set over all of whose points an integral is taken; None for another one."""
     points = integral.subdomain_data()
     whole = integral.subdomain_id() == "everywhere" and not integral.metadata()
-    return points if whole and any(points is body for body in bodies) else None
+    return points if whole and any(points is known for known in sets) else None
+
+
+def _is_dead(term: Any, w: ufl.Argument) -> bool:
+    """Whether a term is a force at the points that the motion does not change."""
+    fields = extract_coefficients(term)
+    kinds = {type(node) for node in unique_pre_traversal(term)}
+    return (
+        all(isinstance(f, PointField) and f.name not in _CHANGING for f in fields)
+        and not any(issubclass(kind, GeometricQuantity | Derivative) for kind in kinds)
+        and w in extract_arguments(term)
+    )
+
+
+def _per_weight(term: Any, w: ufl.Argument) -> Any:
+    """The force per weight t of a term -t . w."""
+    dim = w.ufl_shape[0]
+    units = [ufl.as_vector([float(i == k) for i in range(dim)]) for k in range(dim)]
+    return ufl.as_vector([-replace(term, {w: unit}) for unit in units])
 
 
 def _force_per_mass(term: Any, points: MaterialPoints, w: ufl.Argument) -> fem.Constant | None:

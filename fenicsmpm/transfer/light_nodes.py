@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Forces at nodes of nearly no mass.
 
-A point that has just entered a cell gives its far nodes hardly any mass, but with linear functions
-its full share of the stress. Explicit steps are then unstable, however short: an element whose node
-has the share s of its mass needs ``(c dt / h)^2 < 4 s``. So a node whose mass is below a share of
-the mean around it takes less of the force, and what is left goes to the nodes around it in
-proportion to their masses: momentum is kept. Its velocity stays momentum by mass.
+Where points hardly reach a node, what it gets of their mass is round-off, or nearly so, and forces
+on it would throw it ahead. So a node whose mass is below a share of the mean around it takes less
+of the force, and what is left goes to the nodes around it in proportion to their masses: momentum
+is kept. Its velocity stays momentum by mass.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from dolfinx import fem, la
 
 Array = npt.NDArray[np.float64]
 
-# Share of the mean mass around a node from which on it is light. Splines and uGIMP give a node as
-# little force as mass, so only round-off has to be kept from what divides by nearly nothing.
-LIGHT = {"linear": 0.1, "gimp": 1e-8, "quadratic": 1e-8, "cubic": 1e-8}
-# Loads act at surfaces, where functions of all kinds end
+# Share of the mean mass around a node below which it is light, for the points' own forces: only
+# round-off is kept from what divides by nearly nothing
+LIGHT = 1e-8
+# The same for loads: they act at surfaces, where functions end
 LIGHT_FOR_LOADS = 0.01
 
 

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: MIT
+"""Explicit steps by forms: any mesh, any UFL; exact motions, conservation, bad input."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from explicit_runs import use
+
+from fenicsmpm import ExplicitMPM, UnstableError, basis, forms, formulations, points
+from fenicsmpm.diagnostics import momentum
+from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid
+
+COMM = MPI.COMM_WORLD
+RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
+MESHES = {
+    "triangles": lambda n: mesh.create_unit_square(COMM, n, n),
+    "quadrilaterals": lambda n: mesh.create_unit_square(COMM, n, n, mesh.CellType.quadrilateral),
+    "tetrahedra": lambda n: mesh.create_unit_cube(COMM, n, n, n),
+    "hexahedra": lambda n: mesh.create_unit_cube(COMM, n, n, n, mesh.CellType.hexahedron),
+    "bent": lambda n: _bent(n),
+}
+
+
+def _bent(n):
+    domain = mesh.create_unit_square(COMM, n, n, mesh.CellType.quadrilateral)
+    x = domain.geometry.x
+    x[:, :2] += 0.03 * np.sin(np.pi * x[:, 1::-1]) * np.sin(np.pi * x[:, :2])
+    return domain
+
+
+def block(domain, velocity=None, half=0.22):
+    """A block of 4 points a cell and more in the middle of the unit square or cube."""
+    body = points.lattice(domain, 0.05, inside=lambda x: np.abs(x - 0.5).max(axis=1) < half)
+    formulations.set_initial_state(body, 2.0, velocity)
+    V = fem.functionspace(domain, ("Lagrange", 1, (domain.geometry.dim,)))
+    return body, fem.Function(V), ufl.TestFunction(V)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", MESHES)
+def test_a_free_body_keeps_momentum(kind):
+    body, v, w = block(MESHES[kind](8), lambda x: 0.05 * np.sin(7 * x[:, ::-1]) + 0.5)
+    sim = ExplicitMPM(formulations.internal_force(w, body, RUBBER), v, body)
+    before = momentum(body)
+    for _ in range(20):
+        sim.step()
+    assert COMM.allreduce(np.abs(body["sigma"]).max(initial=0.0), MPI.MAX) > 0.02
+    assert momentum(body) == pytest.approx(before, rel=1e-12)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["triangles", "tetrahedra", "bent"])
+def test_free_flight(kind):
+    """A block without stress flies on as it was, whatever part of a cell it fills."""
+    domain = MESHES[kind](9)
+    speed = np.array([0.3, -0.7, 0.2])[: domain.geometry.dim]
+    body, v, w = block(domain, lambda x: np.tile(speed, (len(x), 1)), half=0.16)
+    law = Hencky(E=1e3, nu=0.3)
+    sim = ExplicitMPM(formulations.internal_force(w, body, law), v, body)
+    for _ in sim.run(0.25):
+        pass
+    assert COMM.allreduce(np.abs(body["v"] - speed).max(initial=0.0), MPI.MAX) < 1e-10
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["triangles", "tetrahedra"])
+def test_homogeneous_deformation(kind):
+    """All nodes are moved: points follow exactly, whatever is averaged (F-bar, equation 14)."""
+    domain = MESHES[kind](6)
+    dim = domain.geometry.dim
+    rate = np.array([[0.3, -0.8, 0.2], [0.5, -0.2, 0.1], [-0.3, 0.4, 0.1]])[:dim, :dim]
+    for fbar in (None, formulations.FBar(), formulations.FBar(0.3, 100.0)):
+        body, v, w = block(domain, lambda x: (x - 0.5) @ rate.T)
+        motion = fem.Function(v.function_space)
+        motion.interpolate(lambda x: rate @ (x[:dim] - 0.5))
+        nodes = v.function_space.dofmap.index_map
+        everything = np.arange(nodes.size_local + nodes.num_ghosts, dtype=np.int32)
+        R = formulations.internal_force(w, body, RUBBER, fbar=fbar)
+        sim = ExplicitMPM(R, v, body, dt=1e-3, bcs=[fem.dirichletbc(motion, everything)])
+        for _ in range(3):
+            sim.step()
+        F = np.eye(3)
+        F[:dim, :dim] = np.linalg.matrix_power(np.eye(dim) + sim.dt * rate, 3)
+        assert body["F"] == pytest.approx(np.tile(F, (len(body), 1, 1)), abs=1e-12)
+        assert body["J"] == pytest.approx(np.linalg.det(F), rel=1e-12)
+        if fbar is not None:
+            assert body["J_bar"] == pytest.approx(np.linalg.det(F), rel=1e-12)
+
+
+@pytest.mark.parametrize("functions", ["linear", "quadratic"])
+def test_an_energy_in_ufl_is_the_law_at_points(functions):
+    """Neo-Hooke's energy as UFL: the same internal force and motion as by its law at points."""
+    law = NeoHookean(E=100.0, nu=0.4)
+
+    def psi(F):
+        J = ufl.det(F)
+        return law.energy(F, J) + law.kappa / 2 * (J - 1) ** 2
+
+    found = []
+    for material in (law, psi):
+        body, v, w = block(MESHES["quadrilaterals"](10), lambda x: 0.5 * np.sin(7 * x[:, ::-1]))
+        use(body, functions)
+        R = formulations.internal_force(w, body, material, fbar=formulations.FBar(0.1))
+        sim = ExplicitMPM(R, v, body, dt=2e-3)
+        for _ in range(10):
+            sim.step()
+        found.append({name: body[name].copy() for name in ("x", "v", "F", "J_bar")})
+    for name, value in found[0].items():
+        assert found[1][name] == pytest.approx(value, abs=1e-11 * np.abs(value).max()), name
+
+
+@pytest.mark.mpi
+def test_terms_of_one_s_own():
+    """Body force by a field, a viscous term, a load over boundary points, and one over dx.
+
+    The momentum gained in a step is the sum of these forces, and viscosity has none.
+    """
+    domain = MESHES["triangles"](10)
+    body, v, w = block(domain, lambda x: 0.3 * np.sin(5 * x[:, ::-1]))
+    edge = body.select(lambda x: x[:, 0] > 0.65)
+    edge["weight"] = 0.05
+    b = body.add_field("b", (2,), body.x)
+    expected = (body["mass"][:, None] * b).sum(axis=0) + [0.0, 3.0 * 0.05 * len(edge)]
+    bump = ufl.SpatialCoordinate(domain)[0]
+    inside = mesh.locate_entities(domain, 2, lambda x: np.abs(x[:2] - 0.5).max(axis=0) < 0.16)
+    tags = mesh.meshtags(domain, 2, inside, np.ones(len(inside), dtype=np.int32))
+    dx = ufl.Measure("dx", domain=domain, subdomain_data=tags)
+    over_cells = fem.assemble_scalar(fem.form(bump * dx(1)))
+    R = formulations.internal_force(w, body, RUBBER)
+    R += formulations.body_force(w, body, body.field("b"))
+    R += 0.2 * ufl.inner(ufl.sym(ufl.grad(v)), ufl.grad(w)) * body.dx
+    R += formulations.dead_load(w, edge, (0.0, 3.0))
+    R -= bump * w[0] * dx(1)
+    sim = ExplicitMPM(R, v, body, carried=[edge], dt=1e-4)
+    before = momentum(body)
+    sim.step()
+    forces = COMM.allreduce(expected) + [COMM.allreduce(over_cells), 0.0]
+    assert momentum(body) - before == pytest.approx(sim.dt * forces, rel=1e-9)
+    assert COMM.allreduce(np.abs(edge["u"]).max(initial=0.0), MPI.MAX) > 0
+
+
+def test_a_viscous_term_is_a_newtonian_fluid():
+    """2 mu dev sym L of the law at points, written in UFL with the velocity on the grid."""
+    mu, speed = 3.0, lambda x: 0.3 * np.sin(5 * x[:, ::-1])
+    gained = []
+    for law, extra in ((NewtonianFluid(100.0, mu), 0.0), (NewtonianFluid(100.0), mu)):
+        body, v, w = block(MESHES["quadrilaterals"](10), speed)
+        use(body, "quadratic")
+        R = formulations.internal_force(w, body, law, fbar=None)
+        if extra:
+            D = ufl.sym(ufl.grad(v))
+            deviator = D - ufl.tr(D) / 3 * ufl.Identity(2)
+            R += 2 * extra * ufl.inner(deviator, ufl.grad(w)) * body.dx
+        sim = ExplicitMPM(R, v, body, dt=1e-6)
+        first = forms.evaluate(ufl.grad(v), body)
+        assert np.all(first == 0)
+        sim.step()
+        sim.step()
+        gained.append(body["v"] - speed(body.x - body["u"]))
+    # the law's stress is that of the step before: the first step has none
+    assert np.abs(gained[1]).max() > 0
+    assert gained[1] == pytest.approx(2 * gained[0], rel=1e-3, abs=1e-3 * np.abs(gained[1]).max())
+
+
+@pytest.mark.mpi
+def test_nodal_fields_are_functions():
+    body, v, w = block(MESHES["triangles"](10))
+    R = formulations.internal_force(w, body, RUBBER)
+    R += formulations.body_force(w, body, (0.0, -2.0))
+    sim = ExplicitMPM(R, v, body, dt=1e-3)
+    sim.step()
+    assert sim.velocity is v
+    assert forms.evaluate(v, body) == pytest.approx(np.tile((0, -2e-3), (len(body), 1)), abs=1e-14)
+    assert forms.evaluate(sim.acceleration[1], body) == pytest.approx(-2.0, abs=1e-10)
+    owned = sim.mass.function_space.dofmap.index_map.size_local
+    total = COMM.allreduce(sim.mass.x.array[:owned].sum())
+    assert total == pytest.approx(COMM.allreduce(body["mass"].sum()), rel=1e-12)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["triangles", "hexahedra"])
+def test_the_same_on_any_number_of_ranks(kind):
+    def run(comm):
+        global COMM
+        everyone, COMM = COMM, comm
+        domain = MESHES[kind](8)
+        COMM = everyone
+        dim = domain.geometry.dim
+        body, v, w = block(domain, lambda x: np.tile((1.0, 0.4, 0.2)[:dim], (len(x), 1)))
+        body["v"] += 0.3 * np.sin(5 * body.x[:, ::-1])
+        R = formulations.internal_force(w, body, RUBBER, fbar=formulations.FBar(0.1, 20.0))
+        sim = ExplicitMPM(R, v, body, dt=5e-3, flip=0.98)
+        for _ in sim.run(0.15):
+            pass
+        start = np.concatenate(comm.allgather(body.x - body["u"]))
+        order = np.lexsort(np.round(start, 8).T)
+        return [np.concatenate(comm.allgather(body[k]))[order] for k in ("u", "sigma", "J_bar")]
+
+    for a, b in zip(run(MPI.COMM_SELF), run(COMM), strict=True):
+        assert b == pytest.approx(a, abs=1e-9 * np.abs(a).max())
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("on_exit", ["error", "delete", "clamp"])
+def test_points_that_leave(on_exit):
+    body, v, w = block(MESHES["triangles"](10), lambda x: np.tile((4.0, 0.0), (len(x), 1)))
+    R = formulations.internal_force(w, body, RUBBER)
+    sim = ExplicitMPM(R, v, body, dt=2e-3, on_exit=on_exit)
+    n = body.size_global
+    if on_exit == "error":
+        before = body.snapshot()
+        with pytest.raises(UnstableError, match="outside the background mesh"):
+            for _ in sim.run(0.2):
+                before = body.snapshot()
+        assert all(np.array_equal(body[name], array) for name, array in before.items())
+        return
+    removed = sum(step.removed for step in sim.run(0.12))
+    assert removed > 0
+    assert body.size_global == (n - removed if on_exit == "delete" else n)
+    assert body.bounds[1][0] <= 1.0 + 1e-12
+
+
+@pytest.mark.mpi
+def test_wrong_input():
+    domain = MESHES["triangles"](8)
+    body, v, w = block(domain)
+    V = v.function_space
+    R = formulations.internal_force(w, body, RUBBER)
+    other = fem.Function(fem.functionspace(MESHES["triangles"](4), ("Lagrange", 1, (2,))))
+    energy = 0.5 * ufl.inner(v, v) * body.dx
+    unknown = R + ufl.inner(ufl.TrialFunction(V), w) * body.dx
+    lone = points.fill(domain, 1)
+    alone = formulations.internal_force
+    with pytest.raises(TypeError, match="must be a UFL form"):
+        ExplicitMPM(0.0, v, body)
+    for form, message in ((energy, "rank 1, not 0"), (unknown, "rank 1, not 2")):
+        with pytest.raises(ValueError, match=message):
+            ExplicitMPM(form, v, body)
+    with pytest.raises(ValueError, match="another function space"):
+        ExplicitMPM(R, fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,)))), body)
+    with pytest.raises(ValueError, match="on the mesh of the velocity"):
+        ExplicitMPM(R, other, body)
+    with pytest.raises(forms.UnsupportedFormError, match="not linear in the arguments"):
+        ExplicitMPM(R + ufl.inner(w, w) * body.dx, v, body)
+    with pytest.raises(ValueError, match="fields F, J, mass, V_0 has no stress"):
+        alone(w, lone, RUBBER)
+    with pytest.raises(ValueError, match="points that are no body"):
+        ExplicitMPM(R, v, block(domain)[0])
+    with pytest.raises(ValueError, match="two laws at its points"):
+        ExplicitMPM(R + alone(w, body, Hencky(1.0, 0.3)), v, body)
+    with pytest.raises(ValueError, match=r"use 0\.499"):
+        alone(w, block(domain)[0], NeoHookean(E=1.0, nu=0.5))
+    dust, u, z = block(domain)
+    with pytest.raises(ValueError, match="give the time step dt"):
+        ExplicitMPM(formulations.body_force(z, dust, (0.0, -1.0)), u, dust)
+    with pytest.raises(ValueError, match="2 finite numbers"):
+        formulations.body_force(w, body, (0.0, np.nan))
+    with pytest.raises(ValueError, match="all bodies are empty"):
+        ExplicitMPM(R, v, body.select([]))
+    for options, message in (
+        ({"flip": 1.5}, "flip"),
+        ({"damping": 1.0}, "damping"),
+        ({"cfl": np.nan}, "cfl"),
+        ({"dt": 0.0}, "time step must be positive"),
+        ({"on_exit": "vanish"}, "on_exit must be one of"),
+        ({"carried": [body]}, "given twice"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ExplicitMPM(R, v, body, **options)
+    if COMM.size == 1:
+        quads, u, z = block(MESHES["quadrilaterals"](8))
+        load = quads.select(lambda x: x[:, 0] > 0.6)
+        basis.use(quads, "quadratic")
+        with pytest.raises(ValueError, match="different grid functions: linear, quadratic"):
+            ExplicitMPM(alone(z, quads, RUBBER), u, quads, carried=[load])
+
+
+@pytest.mark.mpi
+def test_a_load_away_from_all_bodies():
+    body, v, w = block(MESHES["triangles"](8))
+    x = [(0.95, 0.95)] if COMM.rank == 0 else np.empty((0, 2))
+    edge = points.MaterialPoints(body.mesh, x, weight=1.0)
+    R = formulations.internal_force(w, body, RUBBER)
+    sim = ExplicitMPM(R + formulations.dead_load(w, edge, (1.0, 0.0)), v, body, carried=[edge])
+    with pytest.raises(UnstableError, match="a load is away from all bodies"):
+        sim.step()
+    assert (sim.time, sim.number) == (0.0, 0)
