@@ -373,7 +373,7 @@ def test_known_cells_are_taken_as_given():
     geometry = cell_geometry(mesh)
     x = np.array([[0.5, 0.5]])
     for cell in (0, 1):
-        a = geometry.coefficients[cell]
+        a = geometry.coefficients(np.array([cell]))[0]
         xi = np.linalg.solve(a[1:].T, x[0] - a[0])[None]
         points = MaterialPoints(mesh, x, 1.0, cells=[cell], xi=xi)
         assert points.cell[0] == cell

@@ -94,7 +94,7 @@ class MaterialPoints(PointArrays):
         self.next_id = self.size_global
         data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         if "xi" in data:
-            global_cell = self.geometry.global_index[data["cell"]]
+            global_cell = self.geometry.global_index(data["cell"])
         else:
             global_cell, data["cell"], data["xi"] = find_cells(
                 self._comm, self._locator, data["x"], data.get("cell")

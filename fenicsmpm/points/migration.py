@@ -71,7 +71,7 @@ def find_cells(
     cell, xi = locator.locate(x, hint)
     global_cell = np.full(len(x), -1, dtype=np.int64)
     found = cell >= 0
-    global_cell[found] = locator.geometry.global_index[cell[found]]
+    global_cell[found] = locator.geometry.global_index(cell[found])
     unsure = np.flatnonzero(~locator.is_sure(cell, xi))
     # Nothing more to do in most time steps: one reduction of one number.
     if comm.allreduce(len(unsure)):
@@ -100,7 +100,7 @@ def _find_elsewhere(
     comm.Allreduce(key, lowest, MPI.MIN)
     won = mine[key[mine] == lowest[mine]]
     claim = np.full(len(everything), -1, dtype=np.int64)
-    claim[won] = geometry.global_index[cell[won]]
+    claim[won] = geometry.global_index(cell[won])
     result = np.empty_like(claim)
     comm.Allreduce(claim, result, MPI.MAX)
     return result[start : start + len(x)]
