@@ -232,10 +232,11 @@ def _place_cells(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def locate_in_boxes(boxes: Boxes, key, tolerance, x, cell, xi):  # type: ignore[no-untyped-def]
+def locate_in_boxes(boxes: Boxes, key, tolerance, count, x, cell, xi):  # type: ignore[no-untyped-def]
     """Cells `cell` (n,), -1 for none, and reference coordinates xi (n, d) of points x (n, d).
 
-    A point within the tolerance of a facet is in the cell of lowest `key` that touches it.
+    Only the first `count` cells are looked at. A point within the tolerance of a facet is in the
+    one of lowest `key` that touches it.
     """
     n, d = x.shape
     for p in range(n):
@@ -254,7 +255,10 @@ def locate_in_boxes(boxes: Boxes, key, tolerance, x, cell, xi):  # type: ignore[
             xi[p, i] = s
         c = -1
         if inside:
-            c = _touching(boxes, key, tolerance, place, xi[p]) if near else boxes.cell[place]
+            if near:
+                c = _touching(boxes, key, tolerance, count, place, xi[p])
+            elif boxes.cell[place] < count:
+                c = boxes.cell[place]
         cell[p] = c
         if c < 0:
             xi[p] = 0.0
@@ -263,13 +267,14 @@ def locate_in_boxes(boxes: Boxes, key, tolerance, x, cell, xi):  # type: ignore[
 
 
 @numba.njit(cache=True)
-def _touching(boxes: Boxes, key, tolerance, place, s):  # type: ignore[no-untyped-def]
+def _touching(boxes: Boxes, key, tolerance, count, place, s):  # type: ignore[no-untyped-def]
     """The cell of lowest key that touches a point; s (d,) becomes the position in it.
 
     Args:
         boxes: The lattice.
         key: Of the cells.
         tolerance: Distance up to which cells touch a point, in units of a cell.
+        count: Cells from here on are not looked at.
         place: A place that touches the point.
         s: Position of the point in it from 0 to 1, up to the tolerance.
     """
@@ -291,7 +296,7 @@ def _touching(boxes: Boxes, key, tolerance, place, s):  # type: ignore[no-untype
             stride *= boxes.box[i]
         if other >= 0:
             c = boxes.cell[other]
-            if c >= 0 and (best < 0 or key[c] < key[best]):
+            if 0 <= c < count and (best < 0 or key[c] < key[best]):
                 best, best_way = c, way
     for i in range(d):
         if best_way >> i & 1:

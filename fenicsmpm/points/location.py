@@ -65,13 +65,18 @@ class Locator:
             self._search = _tables(geometry, geometry.stored, _neighbours(mesh))
 
     def locate(
-        self, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32] | None = None
+        self,
+        x: npt.NDArray[np.float64],
+        cells: npt.NDArray[np.int32] | None = None,
+        *,
+        owned: bool = False,
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
         """Find the cells of points among those of this rank. Not collective.
 
         Args:
             x: Positions in m, finite, shape (n, d).
             cells: Local cells (owned or ghost) to start from, -1 for nothing known, shape (n,).
+            owned: Whether only cells count that this rank owns.
 
         Returns:
             Local cells, shape (n,), int32, -1 where no cell of this rank contains the point; and
@@ -81,13 +86,14 @@ class Locator:
         cell = np.full(len(x), -1, dtype=np.int32) if cells is None else cells.astype(np.int32)
         xi = np.zeros_like(x)
         geometry = self.geometry
-        if not geometry.num_cells:
+        count = geometry.num_owned if owned else geometry.num_cells
+        if not count:
             cell[:] = -1
         elif self._search is not None:
-            _locate(*self._search, x, cell, xi)
+            _locate(*self._search, count, x, cell, xi)
         else:
             tolerance = float(geometry.tolerance[0])
-            locate_in_boxes(geometry.boxes, geometry.key, tolerance, x, cell, xi)
+            locate_in_boxes(geometry.boxes, geometry.key, tolerance, count, x, cell, xi)
         return cell, xi
 
     def is_sure(
@@ -253,8 +259,8 @@ def _pull_back(cells: _Cells, x, cell, xi):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-def]
-    """Overwrite the hints in `cell` by the cells found, and `xi`."""
+def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-untyped-def]
+    """Overwrite the hints in `cell` by the cells found among the first `count`, and `xi`."""
     n, d = x.shape
     simplex = cells.coefficients.shape[1] == d + 1
     scratch = np.empty(d)
@@ -265,7 +271,7 @@ def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-
             if c < 0 or not (simplex or _in_box(cells, x, p, c)):
                 break
             margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
-            if margin > cells.tolerance[c]:
+            if margin > cells.tolerance[c] and c < count:
                 cell[p] = c
                 for i in range(d):
                     xi[p, i] = scratch[i]
@@ -278,11 +284,11 @@ def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-
                     worst = i + 1
             c = cells.neighbours[c, worst]
         if cell[p] < 0:
-            cell[p] = _search(cells, bins, x, p, scratch, xi)
+            cell[p] = _search(cells, bins, count, x, p, scratch, xi)
 
 
 @numba.njit(cache=True)
-def _search(cells: _Cells, bins: Bins, x, p, scratch, xi):  # type: ignore[no-untyped-def]
+def _search(cells: _Cells, bins: Bins, count, x, p, scratch, xi):  # type: ignore[no-untyped-def]
     """The cell that contains x[p] inside, else the one of lowest key that touches it, else -1."""
     best = -1
     b = _bin_of(bins, x, p)
@@ -290,7 +296,7 @@ def _search(cells: _Cells, bins: Bins, x, p, scratch, xi):  # type: ignore[no-un
         return best
     for m in range(bins.offsets[b], bins.offsets[b + 1]):
         c = bins.cells[m]
-        if not _in_box(cells, x, p, c):
+        if c >= count or not _in_box(cells, x, p, c):
             continue
         margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
         inside = margin > cells.tolerance[c]

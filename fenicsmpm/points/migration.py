@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """MPI: a point lives on the rank that owns its cell."""
 
+from collections.abc import Mapping
+
 from mpi4py import MPI
 
 import numpy as np
@@ -132,8 +134,8 @@ def send_home(
     comm: MPI.Intracomm,
     locator: Locator,
     global_cell: npt.NDArray[np.int64],
-    data: dict[str, npt.NDArray],
-) -> dict[str, npt.NDArray]:
+    data: Mapping[str, npt.NDArray],
+) -> Mapping[str, npt.NDArray]:
     """Send points that lie in cells of other ranks there, with all their arrays. Collective.
 
     Args:
