@@ -13,6 +13,7 @@ from dolfinx.mesh import CellType
 from fenicsmpm.points import MaterialPoints, PointsOutsideError, quadrature
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.migration import exchange
+from fenicsmpm.points.sorting import order_by_number
 
 WORLD = MPI.COMM_WORLD
 KINDS = [CellType.triangle, CellType.tetrahedron, CellType.quadrilateral, CellType.hexahedron]
@@ -373,7 +374,7 @@ def test_known_cells_are_taken_as_given():
     geometry = cell_geometry(mesh)
     x = np.array([[0.5, 0.5]])
     for cell in (0, 1):
-        a = geometry.coefficients[cell]
+        a = geometry.coefficients(np.array([cell]))[0]
         xi = np.linalg.solve(a[1:].T, x[0] - a[0])[None]
         points = MaterialPoints(mesh, x, 1.0, cells=[cell], xi=xi)
         assert points.cell[0] == cell
@@ -421,3 +422,12 @@ def test_exchange_sends_rows_in_order():
     np.testing.assert_array_equal(received["b"][:, 1, 1], np.repeat(np.arange(WORLD.size), 4))
     nothing = exchange(WORLD, destination[:0], {name: a[:0] for name, a in sent.items()})
     assert nothing["a"].shape == (0,) and nothing["b"].shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize("highest", [0, 5, 300, 10**6, 2**31 - 2])
+@pytest.mark.parametrize("n", [0, 1, 400])
+def test_order_by_number_is_a_stable_sort(highest, n):
+    number = np.random.default_rng(8).integers(0, highest, n, endpoint=True)
+    for kind in (np.int32, np.int64):
+        order = order_by_number(number.astype(kind))
+        np.testing.assert_array_equal(order, np.argsort(number, kind="stable"))

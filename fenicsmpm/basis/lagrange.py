@@ -146,7 +146,7 @@ class LagrangeStencil:
         if key not in self._gradients:
             dim = self._geometry.dim
             reference = element.tabulate(1, np.zeros((1, dim)))[1:, 0, :, 0]
-            inverse = self._geometry.centre_inverse
+            inverse = self._geometry.simplex_inverse
             self._gradients[key] = np.einsum("cki,ka->cia", inverse, reference)
         return self._gradients[key]
 
@@ -156,7 +156,7 @@ class LagrangeStencil:
         element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
         directions = _second_derivatives(mesh.geometry.dim)
         second = self._tabulate_reference(element, 2)[directions]
-        nodes = self._geometry.corners[self._cells()]
+        nodes = self._geometry.corners(self._cells())
         return np.einsum("klpa,pam->pmkl", second, nodes)
 
 

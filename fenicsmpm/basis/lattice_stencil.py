@@ -79,7 +79,7 @@ class LatticeStencil:
     def _find_groups(self) -> npt.NDArray[np.int32]:
         """``(n_groups, n_nodes)`` local nodes of the mesh that each group sees, -1 for not here."""
         lattice = self._lattice
-        owned = lattice.index[: lattice.geometry.num_owned]
+        owned = lattice.numbers(np.arange(lattice.geometry.num_owned, dtype=np.int32))
         if self.groups_are_cells:
             first = owned - int(self._kind == CUBIC)
             self._group_of = np.arange(len(owned), dtype=np.int32)[:, None]
@@ -145,9 +145,8 @@ class LatticeStencil:
         if self.groups_are_cells:
             group = points.cell
         else:
-            scale = 1.0 / lattice.spacing
             group = np.empty(len(points), dtype=np.int32)
-            _find_boxes(points.x, points.cell, lattice.lower, scale, self._group_of, group)
+            _find_boxes(points.x, points.cell, lattice.boxes, self._group_of, group)
         self._order, self._offsets = sort_by_number(group, len(self._nodes))
 
     def n_functions(self, element: Any) -> int:
@@ -220,8 +219,8 @@ class LatticeStencil:
         ]
         table = np.empty((len(points), derivative_rows(derivatives, dim), self._nodes.shape[1]))
         _tabulate(
-            self._kind, points.x, points.cell, self._order, lattice.lower, lattice.index,
-            lattice.shape, 1.0 / lattice.spacing, self._half, self._width, np.array(rows), table,
+            self._kind, points.x, points.cell, self._order, lattice.boxes, self._half, self._width,
+            np.array(rows), table,
         )  # fmt: skip
         return table
 
@@ -284,26 +283,28 @@ def _leaves(element: Any) -> list[Any]:
 
 
 @numba.njit(cache=True)
-def _position(x, lower, scale):  # type: ignore[no-untyped-def]
-    """Position in a cell from 0 to 1, of points that are in it up to round-off."""
-    return min(max((x - lower) * scale, 0.0), 1.0)
+def _position(boxes, x, i, k):  # type: ignore[no-untyped-def]
+    """Position from 0 to 1 in cell i of direction k, of points that are in it up to round-off."""
+    return min(max((x - boxes.origin[k]) / boxes.spacing[k] - i, 0.0), 1.0)
 
 
 @numba.njit(cache=True, parallel=True)
-def _find_boxes(x, cell, lower, scale, group_of, group):  # type: ignore[no-untyped-def]
+def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def]
     """Group of each point from those of the quarters (eighths) of its cell."""
+    dim = x.shape[1]
     for p in numba.prange(len(x)):
-        c = cell[p]
         part = 0
-        for k in range(x.shape[1]):
-            upper_half = _position(x[p, k], lower[c, k], scale[k]) >= 0.5
-            part = 2 * part + int(upper_half)
-        group[p] = group_of[c, part]
+        place = boxes.number[cell[p]]
+        for k in range(dim - 1, -1, -1):
+            place, i = divmod(place, boxes.box[k])
+            if _position(boxes, x[p, k], boxes.first[k] + i, k) >= 0.5:
+                part += 1 << (dim - 1 - k)
+        group[p] = group_of[cell[p], part]
 
 
 @numba.njit(cache=True, parallel=True)
 def _tabulate(  # type: ignore[no-untyped-def]
-    kind, x, cell, order, lower, index, shape, scale, half, width, rows, table
+    kind, x, cell, order, boxes, half, width, rows, table
 ):
     """Products of the functions along the lines into ``table (n_points, n_rows, n_nodes)``.
 
@@ -315,13 +316,15 @@ def _tabulate(  # type: ignore[no-untyped-def]
         lines = np.ones((3, 3, width))
         for k in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
             p = order[k]
-            c = cell[p]
-            for m in range(dim):
-                t = _position(x[p, m], lower[c, m], scale[m])
-                tabulate_line(kind, index[c, m], t, shape[m], half[m], lines[m])
+            place = boxes.number[cell[p]]
+            for m in range(dim - 1, -1, -1):
+                place, i = divmod(place, boxes.box[m])
+                i += boxes.first[m]
+                t = _position(boxes, x[p, m], i, m)
+                tabulate_line(kind, i, t, boxes.shape[m], half[m], lines[m])
                 for a in range(width):
-                    lines[m, 1, a] *= scale[m]
-                    lines[m, 2, a] *= scale[m] * scale[m]
+                    lines[m, 1, a] /= boxes.spacing[m]
+                    lines[m, 2, a] /= boxes.spacing[m] * boxes.spacing[m]
             for r in range(len(rows)):
                 first, second, third = lines[0, rows[r, 0]], lines[1, rows[r, 1]], lines[2, 0]
                 if dim == 3:

@@ -227,7 +227,7 @@ class Tying:
     def _gather(self, rim: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
         """Corners and global dofs of the rim's cells on all ranks, in the order of their keys."""
         geometry = cell_geometry(self.space.mesh)
-        here = (geometry.key[rim], geometry.corners[rim], self._global[self._cell_dofs[rim]])
+        here = (geometry.key[rim], geometry.corners(rim), self._global[self._cell_dofs[rim]])
         gathered = self.space.mesh.comm.allgather(here)
         key, corners, dofs = (np.concatenate(arrays) for arrays in zip(*gathered, strict=True))
         order = np.argsort(key)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 
 from mpi4py import MPI
 
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
+from fenicsmpm import _compat
 from fenicsmpm.points.geometry import cell_geometry
 
 
@@ -24,16 +26,19 @@ def mesh_fingerprint(mesh: Mesh) -> str:
         mesh: mesh of straight cells.
     """
     geometry = cell_geometry(mesh)
-    corners = geometry.corners[: geometry.num_owned]
-    largest = mesh.comm.allreduce(float(np.abs(corners).max(initial=0.0)), MPI.MAX)
-    corners = np.where(np.abs(corners) < 1e-7 * largest, 0.0, corners)  # round-off of zero
-    bits = corners.astype(np.float32).view(np.uint32).astype(np.uint64)
-    node = np.zeros(bits.shape[:2], dtype=np.uint64)
-    for k in range(geometry.dim):
-        node = _mix(node + bits[:, :, k])
-    # sums do not depend on the order
-    cell = _mix(node.sum(axis=1, dtype=np.uint64))
-    checksum = mesh.comm.allreduce(int(cell.sum(dtype=np.uint64))) % 2**64
+    largest = max((float(np.abs(c).max()) for c in _corners(mesh, geometry.num_owned)), default=0.0)
+    largest = mesh.comm.allreduce(largest, MPI.MAX)
+    total = np.uint64(0)
+    for corners in _corners(mesh, geometry.num_owned):
+        corners = np.where(np.abs(corners) < 1e-7 * largest, 0.0, corners)  # round-off of zero
+        bits = corners.astype(np.float32).view(np.uint32).astype(np.uint64)
+        node = np.zeros(bits.shape[:2], dtype=np.uint64)
+        for k in range(geometry.dim):
+            node = _mix(node + bits[:, :, k])
+        # sums do not depend on the order
+        cell = _mix(node.sum(axis=1, dtype=np.uint64))
+        total = np.sum([total, cell.sum(dtype=np.uint64)], dtype=np.uint64)
+    checksum = mesh.comm.allreduce(int(total)) % 2**64
     cells = mesh.topology.index_map(geometry.dim).size_global
     nodes = mesh.geometry.index_map().size_global
     kind = mesh.topology.cell_type.name
@@ -47,9 +52,18 @@ def layout(mesh: Mesh) -> list[str]:
         mesh: mesh of straight cells.
     """
     geometry = cell_geometry(mesh)
-    digest = hashlib.sha256(geometry.corners.tobytes())
+    digest = hashlib.sha256()
+    for corners in _corners(mesh, geometry.num_cells):
+        digest.update(corners.tobytes())
     digest.update(np.array([geometry.num_owned, geometry.first_global]).tobytes())
     return mesh.comm.allgather(digest.hexdigest()[:16])
+
+
+def _corners(mesh: Mesh, count: int) -> Iterator[npt.NDArray[np.float64]]:
+    """Vertices of the first cells, ``(n_cells, n_vertices, d)``, some cells at a time [m]."""
+    nodes, x = _compat.geometry_dofmap(mesh), mesh.geometry.x
+    for cells in cell_geometry(mesh).blocks(count):
+        yield np.ascontiguousarray(x[nodes[cells]][:, :, : mesh.geometry.dim])
 
 
 def _mix(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:

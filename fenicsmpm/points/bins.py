@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Which cells may contain a point: a uniform grid of bins over the bounding boxes of the cells.
-
-Also serves meshes that are lattices of equal boxes: there the bins are the cells.
-"""
+"""Which cells may contain a point: a uniform grid of bins over the bounding boxes of the cells."""
 
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
-
-# How far, in units of a bin, a point on a lattice plane may be off by round-off.
-_SLACK = 1e-8
 
 
 class Bins(NamedTuple):
@@ -21,7 +15,6 @@ class Bins(NamedTuple):
         origin: Lower corner of the first bin, shape (d,), in m.
         inverse_size: Bins per metre, shape (d,).
         shape: Number of bins in each direction, shape (d,), int64.
-        slack: A point is looked up in all bins within this distance, in units of a bin.
         offsets: Cells of bin b are cells[offsets[b]:offsets[b + 1]], int64.
         cells: Local cells, int32.
     """
@@ -29,7 +22,6 @@ class Bins(NamedTuple):
     origin: npt.NDArray[np.float64]
     inverse_size: npt.NDArray[np.float64]
     shape: npt.NDArray[np.int64]
-    slack: float
     offsets: npt.NDArray[np.int64]
     cells: npt.NDArray[np.int32]
 
@@ -44,9 +36,7 @@ def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) ->
     n, d = lower.shape
     if n == 0:
         none = np.zeros(0, dtype=np.int32)
-        return Bins(
-            np.zeros(d), np.ones(d), np.zeros(d, np.int64), 0.0, np.zeros(1, np.int64), none
-        )
+        return Bins(np.zeros(d), np.ones(d), np.zeros(d, np.int64), np.zeros(1, np.int64), none)
     size = np.mean(upper - lower, axis=0)
     extent = upper.max(axis=0) - lower.min(axis=0)
     # Few cells in a large box (a graded mesh, bodies far apart) must not cost much memory.
@@ -57,38 +47,7 @@ def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) ->
     first = np.floor((lower - origin) / size).astype(np.int64)
     last = np.minimum(np.floor((upper - origin) / size).astype(np.int64), shape - 1)
     offsets, cells = _fill(first, last, shape)
-    return Bins(origin, 1.0 / size, shape, 0.0, offsets, cells)
-
-
-def lattice_bins(coefficients: npt.NDArray[np.float64]) -> Bins | None:
-    """Bins that are the cells themselves, for a lattice of equal axis-parallel boxes.
-
-    Args:
-        coefficients: Of the cell maps, shape (cells, 2**d, d).
-
-    Returns:
-        The bins, or None if the mesh is not such a lattice. Holes are allowed.
-    """
-    n, count, d = coefficients.shape
-    if n == 0 or count != 2**d:
-        return None
-    axes = coefficients[:, 1 : d + 1]
-    size = np.abs(axes[0]).max(axis=0)
-    small = _SLACK * 0.1 * size
-    box = np.abs(axes)
-    parallel = np.all(np.sort(box, axis=1)[:, :-1] <= small)
-    equal = np.all(np.abs(box.max(axis=1) - size) <= small)
-    if not parallel or not equal or np.any(np.abs(coefficients[:, d + 1 :]) > small):
-        return None
-    lower = coefficients[:, 0] + np.minimum(axes, 0.0).sum(axis=1)
-    origin = lower.min(axis=0)
-    steps = (lower - origin) / size
-    index = np.rint(steps).astype(np.int64)
-    shape = index.max(axis=0) + 1
-    if np.any(np.abs(steps - index) > 0.1 * _SLACK) or np.prod(shape) > 8 * n + 1000:
-        return None
-    offsets, cells = _fill(index, index, shape)
-    return Bins(origin, 1.0 / size, shape, _SLACK, offsets, cells)
+    return Bins(origin, 1.0 / size, shape, offsets, cells)
 
 
 @numba.njit(cache=True)

@@ -2,19 +2,25 @@
 """The map from the reference cell to the cells of a mesh with straight edges, for all cells."""
 
 import weakref
+from collections.abc import Iterator
 from functools import cached_property
 
 from mpi4py import MPI
 
 import basix
+import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import CellType, Mesh
 
 from fenicsmpm import _compat
+from fenicsmpm.points.boxes import Boxes, find_boxes
 
 # Points outside a cell by less than this part of its size are in it.
 _TOLERANCE = 1e-12
+
+# Cells that are worked on at a time.
+_BLOCK = 1 << 14
 
 # Dimension and number of vertices of the cells that are supported.
 _CELLS = {
@@ -63,22 +69,25 @@ def monomial_gradients(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[n
 
 
 class CellGeometry:
-    """Shapes of the cells (owned and ghosts) of a mesh, as arrays.
+    """Shapes of the cells (owned and ghosts) of a mesh.
+
+    Those of a lattice follow from the numbers of the cells; for others, arrays are kept.
 
     Attributes:
         cell: basix cell type.
         dim: Topological and geometrical dimension d, 2 or 3.
-        corners: Vertices of the cells in m, shape (cells, vertices, d).
-        coefficients: x = sum_k coefficients[c, k] * monomial_k(xi), shape (cells, k, d), in m.
+        boxes: The lattice that the cells are on, if they are equal axis-parallel boxes, else None.
+        stored: x = sum_k stored[c, k] * monomial_k(xi) in m, shape (cells, k, d); None where the
+            shapes follow from `boxes`.
+        num_cells: Number of owned and ghost cells.
         num_owned: Number of cells that this rank owns; cells from there on are ghosts.
         first_global: Global index of this rank's cell 0.
-        global_index: Global index of each cell (owned and ghosts), int64.
         key: Number of each cell, unique over the mesh: its index in the mesh as it was input where
             dolfinx knows that (the same on any number of ranks), else its global index. int64.
     """
 
     def __init__(self, mesh: Mesh):
-        """Copy what is needed from a mesh; no reference to the mesh is kept.
+        """Take what is needed from a mesh; no reference to the mesh is kept. Collective.
 
         Raises:
             ValueError: For meshes other than straight triangles, tetrahedra, quadrilaterals and
@@ -86,103 +95,190 @@ class CellGeometry:
         """
         cell_type, geometry = mesh.topology.cell_type, mesh.geometry
         nodes = _compat.geometry_dofmap(mesh)
-        self.cell, self.dim, vertices = _CELLS.get(cell_type, (None, 0, 0))
-        if (self.dim, vertices) != (geometry.dim, nodes.shape[1]) or geometry.x.dtype != np.float64:
+        self.cell, self.dim, self._vertices = _CELLS.get(cell_type, (None, 0, 0))
+        known = self.dim, self._vertices
+        if known != (geometry.dim, nodes.shape[1]) or geometry.x.dtype != np.float64:
             raise ValueError(
                 f"a mesh of unsupported cells: {cell_type.name} with {nodes.shape[1]} nodes in "
                 f"{geometry.dim} dimensions, {geometry.x.dtype}; material points need straight "
                 "triangles or quadrilaterals in 2, tetrahedra or hexahedra in 3 dimensions, in "
                 "float64"
             )
-        self._nodes = geometry.x.copy()
-        self.corners = np.ascontiguousarray(geometry.x[nodes][:, :, : self.dim])
-        self.coefficients = _expand(self.corners)
-
+        self._checksum = _checksum(geometry.x)
         cells = mesh.topology.index_map(self.dim)
-        self.num_owned = cells.size_local
+        self.num_owned, self.num_cells = cells.size_local, cells.size_local + cells.num_ghosts
         self.first_global = cells.local_range[0]
-        local = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
-        self.global_index = cells.local_to_global(local)
+        self._ghosts = np.array(cells.ghosts, dtype=np.int64)
         try:
-            self.key = np.array(mesh.topology.original_cell_index, dtype=np.int64)
+            self.key = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
         except RuntimeError:  # meshes made from other meshes do not have it
-            self.key = self.global_index
+            self.key = self.global_index(np.arange(self.num_cells, dtype=np.int32))
+
+        self.boxes, off = find_boxes(mesh.comm, geometry.x, nodes, self.dim)
+        self.stored: npt.NDArray[np.float64] | None = None
+        # nodes that are off their places by more than round-off count where they are
+        if self.boxes is None or off > 0.5 * float(self._box_tolerance()):
+            self.stored = np.empty((len(nodes), self._vertices, self.dim))
+            for block in self.blocks():
+                self.stored[block] = _expand(geometry.x[nodes[block], : self.dim])
 
     @property
     def is_simplex(self) -> bool:
         """Whether the cells are triangles or tetrahedra."""
-        return self.coefficients.shape[1] == self.dim + 1
+        return self._vertices == self.dim + 1
 
-    @property
-    def num_cells(self) -> int:
-        """Number of owned and ghost cells."""
-        return len(self.coefficients)
+    def blocks(self, count: int | None = None) -> Iterator[npt.NDArray[np.int32]]:
+        """The first `count` cells (default: all), some at a time, to save memory."""
+        count = self.num_cells if count is None else count
+        for start in range(0, count, _BLOCK):
+            yield np.arange(start, min(start + _BLOCK, count), dtype=np.int32)
+
+    def global_index(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+        """Global indices of `cells` (n,), owned or ghosts."""
+        result = self.first_global + cells.astype(np.int64)
+        ghosts = cells >= self.num_owned
+        result[ghosts] = self._ghosts[cells[ghosts] - self.num_owned]
+        return result
 
     def has_moved(self, mesh: Mesh) -> bool:
         """Whether this rank's nodes of the mesh have other coordinates than when this was made."""
-        return not np.array_equal(self._nodes, mesh.geometry.x)
+        return _checksum(mesh.geometry.x) != self._checksum
+
+    def coefficients(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """What the maps of `cells` (n,) are in `monomials`, in m, shape (n, k, d)."""
+        if self.stored is not None:
+            return self.stored[cells]
+        return _expand(self.corners(cells))
+
+    def corners(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """Vertices of `cells` (n,) in m, shape (n, vertices, d)."""
+        if self.stored is None:
+            return self._lattice.corners(cells)
+        at = monomials(basix.geometry(self.cell), self._vertices)
+        return np.einsum("vk,ckd->cvd", at, self.stored[cells])
 
     def push_forward(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """Positions in m of points with reference coordinates `xi` (n, d) in `cells` (n,)."""
-        phi = monomials(xi, self.coefficients.shape[1])
-        return np.einsum("pk,pkd->pd", phi, self.coefficients[cells])
+        if self.stored is None:
+            return self._lattice.push_forward(cells, xi)
+        return np.einsum("pk,pkd->pd", monomials(xi, self._vertices), self.stored[cells])
 
     def jacobian(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """dx/dxi, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
-        gradients = monomial_gradients(xi, self.coefficients.shape[1])
-        return np.einsum("pkj,pki->pij", gradients, self.coefficients[cells])
+        if self.stored is None:
+            return self._lattice.jacobian(cells)
+        gradients = monomial_gradients(xi, self._vertices)
+        return np.einsum("pkj,pki->pij", gradients, self.stored[cells])
 
-    @cached_property
-    def centre_jacobian(self) -> npt.NDArray[np.float64]:
-        """dx/dxi at the centres of all cells, shape (cells, d, d); in simplices it is constant."""
+    def centre_jacobian(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """dx/dxi at the centres of `cells` (n,), shape (n, d, d); constant in simplices."""
         centre = 1.0 / (self.dim + 1) if self.is_simplex else 0.5
-        cells = np.arange(self.num_cells, dtype=np.int32)
-        return self.jacobian(cells, np.full((self.num_cells, self.dim), centre))
+        return self.jacobian(cells, np.full((len(cells), self.dim), centre))
 
     @cached_property
-    def centre_inverse(self) -> npt.NDArray[np.float64]:
-        """Inverses of `centre_jacobian`."""
-        return np.asarray(np.linalg.inv(self.centre_jacobian), dtype=np.float64)
+    def simplex_inverse(self) -> npt.NDArray[np.float64]:
+        """dxi/dx in all cells of a mesh of simplices, shape (cells, d, d)."""
+        result = np.empty((self.num_cells, self.dim, self.dim))
+        for block in self.blocks():
+            result[block] = np.linalg.inv(self.centre_jacobian(block))
+        return result
 
     def inverse_jacobian(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """dxi/dx, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        if self.stored is None:
+            return self._lattice.inverse_jacobian(cells)
         if self.is_simplex:
-            return self.centre_inverse[cells]
+            return self.simplex_inverse[cells]
         return np.asarray(np.linalg.inv(self.jacobian(cells, xi)), dtype=np.float64)
 
     @cached_property
     def tolerance(self) -> npt.NDArray[np.float64]:
-        """What reference coordinates in each cell may be off by, shape (cells,).
+        """What reference coordinates in each cell may be off by, shape (cells,), read-only.
 
-        Coordinates carry round-off relative to their own size, not to that of the cell.
+        Coordinates carry round-off relative to their own size, not to that of the cell. On a
+        lattice it is one number, so that all ranks find the same cells.
         """
-        size = np.abs(self.corners).max(axis=(1, 2))
-        scale = np.abs(self.centre_inverse).sum(axis=2).max(axis=1) * size
-        return np.asarray(_TOLERANCE + 16 * np.finfo(float).eps * scale)
+        if self.stored is None:
+            return np.broadcast_to(self._box_tolerance(), self.num_cells)
+        result = np.empty(self.num_cells)
+        for block in self.blocks():
+            size = np.abs(self.corners(block)).max(axis=(1, 2))
+            if self.is_simplex:
+                inverse = self.simplex_inverse[block]
+            else:
+                inverse = np.asarray(np.linalg.inv(self.centre_jacobian(block)))
+            result[block] = _tolerance(np.abs(inverse).sum(axis=2).max(axis=1) * size)
+        return result
+
+    def _box_tolerance(self) -> npt.NDArray[np.float64]:
+        boxes = self._lattice
+        upper = boxes.origin + boxes.shape * boxes.spacing
+        largest = np.maximum(np.abs(boxes.origin), np.abs(upper)).max()
+        return _tolerance(largest / boxes.spacing.min())
+
+    @property
+    def _lattice(self) -> Boxes:
+        assert self.boxes is not None
+        return self.boxes
 
     def determinant(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
         """|det dx/dxi| at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        if self.stored is None:
+            return np.full(len(cells), self._lattice.spacing.prod())
         return np.abs(np.linalg.det(self.jacobian(cells, xi)))
 
     @cached_property
     def owned_volumes(self) -> npt.NDArray[np.float64]:
-        """Volumes of the owned cells in m^d, computed once."""
-        return self.volume(np.arange(self.num_owned, dtype=np.int32))
+        """Volumes of the owned cells in m^d, read-only, computed once."""
+        if self.stored is None:
+            return np.broadcast_to(self._lattice.spacing.prod(), self.num_owned)
+        return np.concatenate([np.empty(0), *map(self.volume, self.blocks(self.num_owned))])
 
     def volume(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
         """Volumes of `cells` in m^d, exact up to round-off."""
+        if self.stored is None:
+            return np.full(len(cells), self._lattice.spacing.prod())
         # det dx/dxi is at most quadratic in each coordinate (hexahedra).
         points, weights = basix.make_quadrature(self.cell, 2)
         det = self.determinant(np.repeat(cells, len(weights)), np.tile(points, (len(cells), 1)))
         return det.reshape(len(cells), len(weights)) @ weights
+
+
+def _tolerance(scale: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Tolerance of reference coordinates from the size of coordinates per size of the cell."""
+    return np.asarray(_TOLERANCE + 16 * np.finfo(float).eps * np.asarray(scale))
+
+
+def _checksum(x: npt.NDArray[np.float64]) -> tuple[int, int]:
+    """128 bits that change if any bit of the coordinates x does. Not collective."""
+    return _mixed_sums(np.ascontiguousarray(x).reshape(-1).view(np.uint64))
+
+
+@numba.njit(cache=True)
+def _mixed_sums(words):  # type: ignore[no-untyped-def]
+    """Two sums of the words (n,), scattered differently at each place.
+
+    Each scattering is one to one (the finalizer of splitmix64), so that a change of one word cannot
+    go unnoticed; changes of several words do with a probability of 2^-128.
+    """
+    first = second = np.uint64(0)
+    for i in range(len(words)):
+        place = np.uint64(2 * i + 1) * np.uint64(0x9E3779B97F4A7C15)
+        bits = words[i] ^ place
+        bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        bits = bits ^ (bits >> np.uint64(31))
+        first += bits
+        second += (bits ^ (bits << np.uint64(23))) * place
+    return first, second
 
 
 def _expand(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Point to cell and reference coordinates, in the part of a mesh that one rank sees.
 
-A point is first looked for from the cell it was in: on simplices by a walk over neighbours towards
-the most negative barycentric coordinate, on other cells in that cell only. What is not found so is
-looked for in the bins (`fenicsmpm.points.bins`), which are the cells on regular lattices.
+On lattices (`fenicsmpm.points.boxes`) the cell follows from the position. On other meshes a point
+is first looked for from the cell it was in: on simplices by a walk over neighbours towards the most
+negative barycentric coordinate, on other cells in that cell only. What is not found so is looked
+for in bins (`fenicsmpm.points.bins`).
 
 A point on a facet, edge or vertex belongs to the containing cell of lowest number (index in the
 mesh as it was input). That does not depend on where the walk starts, but that cell may be on a rank
@@ -20,8 +21,9 @@ from dolfinx import la
 from dolfinx.mesh import Mesh
 
 from fenicsmpm.points.agreement import raise_together
-from fenicsmpm.points.bins import Bins, lattice_bins, make_bins
-from fenicsmpm.points.geometry import cell_geometry
+from fenicsmpm.points.bins import Bins, make_bins
+from fenicsmpm.points.boxes import locate_in_boxes, pull_back_to_boxes
+from fenicsmpm.points.geometry import CellGeometry, cell_geometry
 from fenicsmpm.points.pullback import reference_point
 
 # A walk of more cells costs more than the bins.
@@ -54,31 +56,27 @@ class Locator:
         Raises:
             ValueError: For a mesh of unsupported cells.
         """
-        self.geometry = cell_geometry(mesh)
-        a, corners = self.geometry.coefficients, self.geometry.corners
-        flat = np.flatnonzero(np.linalg.det(self.geometry.centre_jacobian) == 0.0)
-        raise_together(mesh.comm, _flat_cells(flat, corners) if len(flat) else None)
-        inverse = self.geometry.centre_inverse
-        tolerance = self.geometry.tolerance
-        lower, upper = corners.min(axis=1), corners.max(axis=1)
-        margin = 4 * (tolerance * (upper - lower).max(axis=1))[:, None]
-        lower, upper = lower - margin, upper + margin
-        self._cells = _Cells(
-            a, inverse, tolerance, lower, upper, self.geometry.key, _neighbours(mesh)
-        )
+        self.geometry = geometry = cell_geometry(mesh)
+        raise_together(mesh.comm, None if geometry.stored is None else _flat_cells(geometry))
+        self.is_lattice = geometry.boxes is not None
         self._surrounded = _surrounded(mesh)
-        lattice = lattice_bins(a)
-        self.is_lattice = lattice is not None
-        self._bins = lattice if lattice is not None else make_bins(lower, upper)
+        self._search: tuple[_Cells, Bins] | None = None
+        if geometry.stored is not None:
+            self._search = _tables(geometry, geometry.stored, _neighbours(mesh))
 
     def locate(
-        self, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32] | None = None
+        self,
+        x: npt.NDArray[np.float64],
+        cells: npt.NDArray[np.int32] | None = None,
+        *,
+        owned: bool = False,
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
         """Find the cells of points among those of this rank. Not collective.
 
         Args:
             x: Positions in m, finite, shape (n, d).
             cells: Local cells (owned or ghost) to start from, -1 for nothing known, shape (n,).
+            owned: Whether only cells count that this rank owns.
 
         Returns:
             Local cells, shape (n,), int32, -1 where no cell of this rank contains the point; and
@@ -87,10 +85,15 @@ class Locator:
         x = np.ascontiguousarray(x)
         cell = np.full(len(x), -1, dtype=np.int32) if cells is None else cells.astype(np.int32)
         xi = np.zeros_like(x)
-        if self.geometry.num_cells:
-            _locate(self._cells, self._bins, x, cell, xi)
-        else:
+        geometry = self.geometry
+        count = geometry.num_owned if owned else geometry.num_cells
+        if not count:
             cell[:] = -1
+        elif self._search is not None:
+            _locate(*self._search, count, x, cell, xi)
+        else:
+            tolerance = float(geometry.tolerance[0])
+            locate_in_boxes(geometry.boxes, geometry.key, tolerance, count, x, cell, xi)
         return cell, xi
 
     def is_sure(
@@ -102,12 +105,14 @@ class Locator:
         that touch theirs are on this rank.
         """
         sure = cells >= 0
+        if self._surrounded is None:
+            return sure
         sure[sure] = self._surrounded[cells[sure]]
         open_ = np.flatnonzero((cells >= 0) & ~sure)
         at = xi[open_]
         highest = at.sum(axis=1) if self.geometry.is_simplex else at.max(axis=1)
         margin = np.minimum(at.min(axis=1), 1.0 - highest)
-        sure[open_] = margin > 2 * self._cells.tolerance[cells[open_]]
+        sure[open_] = margin > 2 * self.geometry.tolerance[cells[open_]]
         return sure
 
     def pull_back(
@@ -115,7 +120,10 @@ class Locator:
     ) -> npt.NDArray[np.float64]:
         """Reference coordinates (n, d) of points x (n, d) in given cells (n,) that contain them."""
         xi = np.zeros_like(x)
-        _pull_back(self._cells, x, cells, xi)
+        if self._search is not None:
+            _pull_back(self._search[0], x, cells, xi)
+        else:
+            pull_back_to_boxes(self.geometry.boxes, x, cells, xi)
         return xi
 
     def agrees(
@@ -127,8 +135,8 @@ class Locator:
         """Whether reference coordinates xi (n, d) in cells (n,) give the points x (n, d)."""
         if not len(x):
             return np.zeros(0, dtype=bool)
-        slack = 1e3 * self._cells.tolerance[cells]
-        size = (self._cells.upper[cells] - self._cells.lower[cells]).max(axis=1)
+        slack = 1e3 * self.geometry.tolerance[cells]
+        size = np.ptp(self.geometry.corners(cells), axis=1).max(axis=1)
         distance = np.abs(self.geometry.push_forward(cells, xi) - x).max(axis=1)
         highest = xi.sum(axis=1) if self.geometry.is_simplex else xi.max(axis=1)
         inside = (xi.min(axis=1) >= -slack) & (highest <= 1.0 + slack)
@@ -145,11 +153,41 @@ def locator(mesh: Mesh) -> Locator:
     return _cache[mesh]
 
 
-def _flat_cells(flat: npt.NDArray[np.intp], corners: npt.NDArray[np.float64]) -> ValueError:
+def _flat_cells(geometry: CellGeometry) -> ValueError | None:
+    """What is wrong, if there are cells without volume."""
+    flat = np.concatenate(
+        [
+            np.empty(0, dtype=np.int32),
+            *(
+                block[np.linalg.det(geometry.centre_jacobian(block)) == 0.0]
+                for block in geometry.blocks()
+            ),
+        ]
+    )
+    if not len(flat):
+        return None
     return ValueError(
         f"a mesh with {len(flat)} cells of zero volume, first with vertices "
-        f"{corners[flat[0]].tolist()}: remove them from the mesh"
+        f"{geometry.corners(flat[:1])[0].tolist()}: remove them from the mesh"
     )
+
+
+def _tables(
+    geometry: CellGeometry,
+    coefficients: npt.NDArray[np.float64],
+    neighbours: npt.NDArray[np.int32],
+) -> tuple[_Cells, Bins]:
+    """What the search needs on meshes that are no lattices."""
+    lower, upper = np.empty((2, geometry.num_cells, geometry.dim))
+    for block in geometry.blocks():
+        corners = geometry.corners(block)
+        lower[block], upper[block] = corners.min(axis=1), corners.max(axis=1)
+    tolerance = np.ascontiguousarray(geometry.tolerance)
+    margin = 4 * (tolerance * (upper - lower).max(axis=1))[:, None]
+    lower, upper = lower - margin, upper + margin
+    inverse = geometry.simplex_inverse if geometry.is_simplex else np.empty((0, 0, 0))
+    cells = _Cells(coefficients, inverse, tolerance, lower, upper, geometry.key, neighbours)
+    return cells, make_bins(lower, upper)
 
 
 def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
@@ -175,19 +213,43 @@ def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
     return np.where(inner[facets], both[facets] - own, -1).astype(np.int32)
 
 
-def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_]:
-    """Whether all cells that touch a cell are on this rank, shape (cells,). Collective."""
+def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_] | None:
+    """Whether all cells that touch a cell are on this rank, shape (cells,). Collective.
+
+    None for all cells, where there is one rank.
+    """
+    if mesh.comm.size == 1:
+        return None
     topology = mesh.topology
+    vertices = topology.index_map(0)
     cells = topology.index_map(topology.dim)
-    corners = topology.connectivity(topology.dim, 0).array
-    per_cell = len(corners) // max(cells.size_local + cells.num_ghosts, 1)
-    everywhere = la.vector(topology.index_map(0))
-    n = len(everywhere.array)
-    everywhere.array[:] = np.bincount(corners[: cells.size_local * per_cell], minlength=n)
+    per_cell = len(topology.connectivity(topology.dim, 0).array)
+    per_cell //= max(cells.size_local + cells.num_ghosts, 1)
+    corners = topology.connectivity(topology.dim, 0).array.reshape(-1, max(per_cell, 1))
+    here, everywhere = la.vector(vertices), la.vector(vertices)
+    _count(corners, here.array)
+    _count(corners[: cells.size_local], everywhere.array)
     everywhere.scatter_reverse(la.InsertMode.add)
     everywhere.scatter_forward()
-    complete = np.bincount(corners, minlength=n) == everywhere.array
-    return complete[corners].reshape(-1, max(per_cell, 1)).all(axis=1)
+    return _all_at(corners, here.array == everywhere.array)
+
+
+@numba.njit(cache=True)
+def _count(corners, result):  # type: ignore[no-untyped-def]
+    """Add the number of cells at each vertex."""
+    for c in range(len(corners)):
+        for vertex in corners[c]:
+            result[vertex] += 1.0
+
+
+@numba.njit(cache=True)
+def _all_at(corners, mark):  # type: ignore[no-untyped-def]
+    """Cells all of whose vertices have a mark."""
+    result = np.ones(len(corners), dtype=np.bool_)
+    for c in range(len(corners)):
+        for vertex in corners[c]:
+            result[c] &= mark[vertex]
+    return result
 
 
 @numba.njit(cache=True)
@@ -197,8 +259,8 @@ def _pull_back(cells: _Cells, x, cell, xi):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-def]
-    """Overwrite the hints in `cell` by the cells found, and `xi`."""
+def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-untyped-def]
+    """Overwrite the hints in `cell` by the cells found among the first `count`, and `xi`."""
     n, d = x.shape
     simplex = cells.coefficients.shape[1] == d + 1
     scratch = np.empty(d)
@@ -209,7 +271,7 @@ def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-
             if c < 0 or not (simplex or _in_box(cells, x, p, c)):
                 break
             margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
-            if margin > cells.tolerance[c]:
+            if margin > cells.tolerance[c] and c < count:
                 cell[p] = c
                 for i in range(d):
                     xi[p, i] = scratch[i]
@@ -222,49 +284,43 @@ def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-
                     worst = i + 1
             c = cells.neighbours[c, worst]
         if cell[p] < 0:
-            cell[p] = _search(cells, bins, x, p, scratch, xi)
+            cell[p] = _search(cells, bins, count, x, p, scratch, xi)
 
 
 @numba.njit(cache=True)
-def _search(cells: _Cells, bins: Bins, x, p, scratch, xi):  # type: ignore[no-untyped-def]
+def _search(cells: _Cells, bins: Bins, count, x, p, scratch, xi):  # type: ignore[no-untyped-def]
     """The cell that contains x[p] inside, else the one of lowest key that touches it, else -1."""
-    d = x.shape[1]
     best = -1
-    i0, i1 = _bin_range(bins, x, p, 0)
-    j0, j1 = _bin_range(bins, x, p, 1)
-    k0, k1 = _bin_range(bins, x, p, 2) if d == 3 else (0, 0)
-    for i in range(i0, i1 + 1):
-        for j in range(j0, j1 + 1):
-            for k in range(k0, k1 + 1):
-                b = i * bins.shape[1] + j
-                if d == 3:
-                    b = b * bins.shape[2] + k
-                for m in range(bins.offsets[b], bins.offsets[b + 1]):
-                    c = bins.cells[m]
-                    if not _in_box(cells, x, p, c):
-                        continue
-                    margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
-                    inside = margin > cells.tolerance[c]
-                    if inside or (
-                        margin >= -cells.tolerance[c]
-                        and (best < 0 or cells.key[c] < cells.key[best])
-                    ):
-                        best = c
-                        for q in range(d):
-                            xi[p, q] = scratch[q]
-                    if inside:
-                        return best
+    b = _bin_of(bins, x, p)
+    if b < 0:
+        return best
+    for m in range(bins.offsets[b], bins.offsets[b + 1]):
+        c = bins.cells[m]
+        if c >= count or not _in_box(cells, x, p, c):
+            continue
+        margin = reference_point(cells.coefficients, cells.inverse, c, x, p, scratch)
+        inside = margin > cells.tolerance[c]
+        if inside or (
+            margin >= -cells.tolerance[c] and (best < 0 or cells.key[c] < cells.key[best])
+        ):
+            best = c
+            for q in range(x.shape[1]):
+                xi[p, q] = scratch[q]
+        if inside:
+            return best
     return best
 
 
 @numba.njit(cache=True)
-def _bin_range(bins: Bins, x, p, i):  # type: ignore[no-untyped-def]
-    """First and last bin of x[p] in direction i; empty if the point is outside of all bins."""
-    t = (x[p, i] - bins.origin[i]) * bins.inverse_size[i]
-    last = bins.shape[i] - 1
-    if t + bins.slack < 0.0 or t - bins.slack > last + 1.0:
-        return 0, -1
-    return max(int(t - bins.slack), 0), min(int(t + bins.slack), last)
+def _bin_of(bins: Bins, x, p):  # type: ignore[no-untyped-def]
+    """The bin of x[p], -1 if the point is outside of all bins."""
+    b = 0
+    for i in range(x.shape[1]):
+        t = (x[p, i] - bins.origin[i]) * bins.inverse_size[i]
+        if not 0.0 <= t <= bins.shape[i]:
+            return -1
+        b = b * bins.shape[i] + min(int(t), bins.shape[i] - 1)
+    return b
 
 
 @numba.njit(cache=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Material points: named arrays with one row a point, distributed like the cells of a mesh."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TypeAlias
 
 from mpi4py import MPI
@@ -22,9 +22,10 @@ from fenicsmpm.points.checks import (
 from fenicsmpm.points.description import describe
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import find_cells, send_home
+from fenicsmpm.points.pending_fields import FieldTable, Provider
 from fenicsmpm.points.point_arrays import BUILT_IN, PointArrays
 from fenicsmpm.points.point_field import PointField
-from fenicsmpm.points.sorting import sort_by_number
+from fenicsmpm.points.sorting import order_by_number, sort_by_number
 
 Selection: TypeAlias = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -94,14 +95,14 @@ class MaterialPoints(PointArrays):
         self.next_id = self.size_global
         data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         if "xi" in data:
-            global_cell = self.geometry.global_index[data["cell"]]
+            global_cell = self.geometry.global_index(data["cell"])
         else:
             global_cell, data["cell"], data["xi"] = find_cells(
                 self._comm, self._locator, data["x"], data.get("cell")
             )
         names = [*BUILT_IN, *(name for name in data if name not in BUILT_IN)]
-        self._data = {name: data[name] for name in names}
-        self._settle(global_cell)
+        self._data = FieldTable({name: data[name] for name in names})
+        self._send_home(global_cell)
 
     @property
     def _comm(self) -> MPI.Intracomm:
@@ -173,10 +174,56 @@ class MaterialPoints(PointArrays):
         Args:
             by: Numbers from 0 whose order it is, shape (n,); the points' cells if not given.
         """
-        order = self.order if by is None else sort_by_number(by, int(by.max(initial=-1)) + 1)[0]
+        self._data.settle()
+        order = order_by_number(self._data["cell"] if by is None else by)
         for name, array in self._data.items():  # one after the other, which saves memory
             self._data[name] = array[order]
         self._replace(self._data)
+
+    # --- loops that keep points in arrays of their own ------------------------------------------
+
+    def defer(
+        self,
+        names: Iterable[str],
+        provide: Provider,
+        others: Mapping[str, npt.NDArray] | None = None,
+    ) -> None:
+        """Drop arrays that somebody else has, until somebody looks at them. Not collective.
+
+        See `fenicsmpm.points.pending_fields` for what a loop has to do.
+
+        Args:
+            names: Fields, "weight" or "x", with which "cell" and "xi" go.
+            provide: Returns the array of a name, and others of `names` if it likes.
+            others: New arrays of everything that is not pending, where points have changed ranks
+                or places in the arrays; `size_global` stays.
+
+        Raises:
+            KeyError: For names without arrays.
+            ValueError: For ids, tags, cells and reference coordinates, and for wrong others.
+        """
+        providers = dict.fromkeys(names, provide)
+        forbidden = {"id", "tag", "cell", "xi"}.intersection(providers)
+        if forbidden:
+            raise ValueError(f"{', '.join(sorted(forbidden))} cannot be deferred")
+        if "x" in providers:
+            providers |= dict.fromkeys(("cell", "xi"), self._find_own_cells)
+        self._data.defer(providers, others)
+        if "x" in providers or others is not None:
+            self._order = None
+            self.version += 1
+
+    def _find_own_cells(self, name: str) -> dict[str, npt.NDArray]:
+        """Cells and reference coordinates of points that are where they belong."""
+        x = self._data["x"]
+        cell, xi = self._locator.locate(x, owned=True)
+        lost = np.flatnonzero(cell < 0)
+        if len(lost):
+            raise RuntimeError(
+                f"{len(lost)} of {len(x)} points on rank {self._comm.rank} are in no cell that it "
+                f"owns, first at {x[lost[0]]}: they must be sent home before they are deferred"
+            )
+        return {"cell": cell, "xi": xi}
 
     # --- changes --------------------------------------------------------------------------------
 
@@ -194,16 +241,17 @@ class MaterialPoints(PointArrays):
                 background mesh was moved.
             PointsOutsideError: On all ranks, if some position is in no cell of the mesh.
         """
-        error, positions = check_positions(x, self._data["x"].shape[1], len(self))
+        error, positions = check_positions(x, self.geometry.dim, len(self))
         if self.geometry.has_moved(self.mesh):
             error = ValueError(
                 "the nodes of the background mesh have moved since the points were located in it: "
                 "make new MaterialPoints from their positions"
             )
         raise_together(self._comm, error)
+        self._data.settle()
         global_cell, cell, xi = find_cells(self._comm, self._locator, positions, self._data["cell"])
-        self._data.update(x=positions, cell=cell, xi=xi)
-        self._settle(global_cell)
+        self._data.update({"x": positions, "cell": cell, "xi": xi})
+        self._send_home(global_cell)
 
     def add(self, other: "MaterialPoints") -> None:
         """Add copies of other points. They get new ids. Collective.
@@ -239,6 +287,7 @@ class MaterialPoints(PointArrays):
             ValueError: On all ranks, if `which` is neither mask nor indices of these points.
         """
         keep = ~self._mask(which)
+        self._data.settle()
         before = self.size_global
         self.size_global = self._comm.allreduce(int(keep.sum()))
         self._replace(self._rows(keep))
@@ -284,12 +333,12 @@ class MaterialPoints(PointArrays):
         self._replace(dict(snapshot))
         self.size_global = self._comm.allreduce(len(self)) if size_global is None else size_global
 
-    def _replace(self, data: dict[str, npt.NDArray]) -> None:
-        self._data = data
+    def _replace(self, data: Mapping[str, npt.NDArray]) -> None:
+        self._data = FieldTable(data)
         self._order = None
         self.version += 1
 
-    def _settle(self, global_cell: npt.NDArray[np.int64]) -> None:
+    def _send_home(self, global_cell: npt.NDArray[np.int64]) -> None:
         """Send the points that lie in cells of other ranks there. Collective."""
         self._replace(send_home(self._comm, self._locator, global_cell, self._data))
 

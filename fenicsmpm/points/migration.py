@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """MPI: a point lives on the rank that owns its cell."""
 
+from collections.abc import Mapping
+
 from mpi4py import MPI
 
 import numpy as np
@@ -71,7 +73,7 @@ def find_cells(
     cell, xi = locator.locate(x, hint)
     global_cell = np.full(len(x), -1, dtype=np.int64)
     found = cell >= 0
-    global_cell[found] = locator.geometry.global_index[cell[found]]
+    global_cell[found] = locator.geometry.global_index(cell[found])
     unsure = np.flatnonzero(~locator.is_sure(cell, xi))
     # Nothing more to do in most time steps: one reduction of one number.
     if comm.allreduce(len(unsure)):
@@ -100,7 +102,7 @@ def _find_elsewhere(
     comm.Allreduce(key, lowest, MPI.MIN)
     won = mine[key[mine] == lowest[mine]]
     claim = np.full(len(everything), -1, dtype=np.int64)
-    claim[won] = geometry.global_index[cell[won]]
+    claim[won] = geometry.global_index(cell[won])
     result = np.empty_like(claim)
     comm.Allreduce(claim, result, MPI.MAX)
     return result[start : start + len(x)]
@@ -132,8 +134,8 @@ def send_home(
     comm: MPI.Intracomm,
     locator: Locator,
     global_cell: npt.NDArray[np.int64],
-    data: dict[str, npt.NDArray],
-) -> dict[str, npt.NDArray]:
+    data: Mapping[str, npt.NDArray],
+) -> Mapping[str, npt.NDArray]:
     """Send points that lie in cells of other ranks there, with all their arrays. Collective.
 
     Args:

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.points.checks import assign, check_weight
+from fenicsmpm.points.pending_fields import FieldTable
 
 # The arrays that every set of points has; all others are the user's fields.
 BUILT_IN = ("x", "weight", "xi", "cell", "id", "tag")
@@ -17,11 +18,11 @@ _READ_ONLY = ("x", "xi", "cell", "id")
 class PointArrays:
     """What the points of this rank have: built-in arrays and the user's fields, by name."""
 
-    _data: dict[str, npt.NDArray]
+    _data: FieldTable
 
     def __len__(self) -> int:
         """Number of points on this rank."""
-        return len(self._data["x"])
+        return self._data.shape("id")[0]
 
     @property
     def x(self) -> npt.NDArray[np.float64]:
@@ -64,7 +65,17 @@ class PointArrays:
         Raises:
             KeyError: If there is no such field.
         """
-        return self[name].shape[1:]
+        self._check_name(name)
+        return self._data.shape(name)[1:]
+
+    @property
+    def changed(self) -> frozenset[str]:
+        """Deferred fields that may have other values than the loop's: see `pending_fields`."""
+        return frozenset(self._data.changed)
+
+    def present(self) -> dict[str, npt.NDArray]:
+        """The arrays that are not pending, for loops that defer others: see `pending_fields`."""
+        return self._data.present()
 
     def add_field(
         self, name: str, shape: tuple[int, ...] = (), value: npt.ArrayLike = 0.0
@@ -96,15 +107,20 @@ class PointArrays:
     def __getitem__(self, name: str) -> npt.NDArray:
         """The array of a field itself, shape (n, *value_shape); no copy.
 
-        Hold no such array across `move`, `add`, `remove` or `sort`: they may replace it.
+        Hold no such array across `move`, `add`, `remove`, `sort` or a step: they may replace it.
         """
-        if name not in self._data:
-            raise KeyError(f"no field '{name}' at the points; there are {', '.join(self._data)}")
+        self._check_name(name)
         array = self._data[name]
         if name in _READ_ONLY:
             array = array.view()
             array.flags.writeable = False
+        else:
+            self._data.mark(name)
         return array
+
+    def _check_name(self, name: str) -> None:
+        if name not in self._data:
+            raise KeyError(f"no field '{name}' at the points; there are {', '.join(self._data)}")
 
     def __setitem__(self, name: str, value: npt.ArrayLike) -> None:
         """Fill the array of an existing field with a value of shape (n, *shape) or (*shape)."""
@@ -124,7 +140,8 @@ class PointArrays:
             ValueError: For arrays of another shape, and weights that are not positive and finite.
         """
         for name, array in fields.items():
-            if array.shape != self[name].shape or name in _READ_ONLY:
+            self._check_name(name)
+            if array.shape != self._data.shape(name) or name in _READ_ONLY:
                 raise ValueError(f"an array of shape {array.shape} cannot become field '{name}'")
             if name == "weight":
                 check_weight(array)

@@ -6,8 +6,8 @@ mask of shape (n,). All functions are collective, and raise on all ranks.
 """
 
 import itertools
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Iterator
+from functools import partial
 
 from mpi4py import MPI
 
@@ -21,13 +21,21 @@ from fenicsmpm.points.checks import check_selection
 from fenicsmpm.points.geometry import CellGeometry, cell_geometry
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.material_points import MaterialPoints
-
-Predicate: TypeAlias = Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+from fenicsmpm.points.seed_blocks import (
+    Array,
+    Cells,
+    Predicate,
+    check_any,
+    lattice_indices,
+    make_points,
+    owned_of,
+    split,
+)
 
 # Lattice points closer to a facet than this part of a cell may be claimed by several ranks.
 _NEAR_FACET = 1e-9
 # Cells for which random numbers are drawn at a time.
-_BLOCK = 1 << 16
+_BLOCK = 1 << 14
 
 
 def quadrature(
@@ -59,12 +67,15 @@ def quadrature(
             f"the rule of degree {degree} on a {geometry.cell.name} has the weight "
             f"{weights.min():.3g}, but points need positive ones: take another degree"
         )
-    filled = _owned(mesh, geometry, cells)
-    cell = np.repeat(filled, len(weights))
-    xi = np.tile(points, (len(filled), 1))
-    weight = np.tile(weights, len(filled)) * geometry.determinant(cell, xi)
+    filled = owned_of(mesh, geometry, cells)
+
+    def weigh(some: Cells, xi: Array) -> Array:
+        det = geometry.determinant(np.repeat(some, len(weights)), xi)
+        return np.tile(weights, len(some)) * det
+
+    blocks = ((some, np.tile(points, (len(some), 1))) for some in split(filled, len(points)))
     what = f"quadrature of degree {degree}"
-    return _make(mesh, geometry, cell, xi, weight, inside, tag, what)
+    return make_points(mesh, geometry, blocks, weigh, inside, tag, what)
 
 
 def fill(
@@ -93,12 +104,10 @@ def fill(
         raise ValueError(f"cells can be cut into 1 or more parts a side, not {per_side}")
     geometry = cell_geometry(mesh)
     points = _centres(geometry, per_side)
-    filled = _owned(mesh, geometry, cells)
-    cell = np.repeat(filled, len(points))
-    xi = np.tile(points, (len(filled), 1))
-    weight = _shares(geometry, filled, xi)
+    filled = owned_of(mesh, geometry, cells)
+    blocks = ((some, np.tile(points, (len(some), 1))) for some in split(filled, len(points)))
     what = f"filling with {per_side} points a side"
-    return _make(mesh, geometry, cell, xi, weight, inside, tag, what)
+    return make_points(mesh, geometry, blocks, partial(_shares, geometry), inside, tag, what)
 
 
 def random(
@@ -128,16 +137,11 @@ def random(
     if per_cell < 1:
         raise ValueError(f"1 or more random points a cell are possible, not {per_cell}")
     geometry = cell_geometry(mesh)
-    filled = _owned(mesh, geometry, cells)
+    filled = owned_of(mesh, geometry, cells)
     highest = mesh.comm.allreduce(int(geometry.key.max(initial=-1)), MPI.MAX)
-    xi = _draw(geometry.key[filled], highest, (per_cell, geometry.dim), seed)
-    if geometry.is_simplex:
-        # The gaps between sorted uniform numbers are uniform barycentric coordinates.
-        xi = np.diff(np.sort(xi, axis=2), axis=2, prepend=0.0)
-    xi = xi.reshape(-1, geometry.dim)
-    weight = _shares(geometry, filled, xi)
+    blocks = _draw(geometry, filled, highest, per_cell, seed)
     what = f"filling with {per_cell} random points a cell"
-    return _make(mesh, geometry, np.repeat(filled, per_cell), xi, weight, inside, tag, what)
+    return make_points(mesh, geometry, blocks, partial(_shares, geometry), inside, tag, what)
 
 
 def lattice(
@@ -165,18 +169,28 @@ def lattice(
     if step.shape not in ((), (geometry.dim,)) or not np.all((step > 0) & (step < np.inf)):
         raise ValueError(f"the spacing of a lattice must be positive, not {spacing}")
     step = np.broadcast_to(step, geometry.dim)
-    own = geometry.corners[: geometry.num_owned].reshape(-1, geometry.dim)
+    lower, upper = np.full(geometry.dim, np.inf), np.full(geometry.dim, -np.inf)
+    for block in geometry.blocks(geometry.num_owned):
+        corners = geometry.corners(block)
+        lower = np.minimum(lower, corners.min(axis=(0, 1)))
+        upper = np.maximum(upper, corners.max(axis=(0, 1)))
     origin = np.empty(geometry.dim)
-    mesh.comm.Allreduce(own.min(axis=0, initial=np.inf), origin, MPI.MIN)
-    index = _lattice_indices(own, origin, step)
+    mesh.comm.Allreduce(lower, origin, MPI.MIN)
 
     def position(index: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         return origin + (index + 0.5) * step
 
-    if inside is not None:
-        error, mask = check_selection(inside, position(index))
-        raise_together(mesh.comm, error)
-        index = index[mask]
+    error = None
+    parts: list[npt.NDArray[np.int64]] = [np.zeros((0, geometry.dim), dtype=np.int64)]
+    for some in lattice_indices(lower, upper, origin, step):
+        if inside is not None:
+            error, mask = check_selection(inside, position(some))
+            if error is not None:
+                break
+            some = some[mask]
+        parts.append(some)
+    raise_together(mesh.comm, error)
+    index = np.concatenate(parts)
     cell, xi = locator(mesh).locate(position(index))
     margin = xi.min(axis=1)
     highest = xi.sum(axis=1) if geometry.is_simplex else xi.max(axis=1)
@@ -187,7 +201,7 @@ def lattice(
     shared = np.concatenate(mesh.comm.allgather(index[(cell >= 0) & ~clear]))
     shared = np.unique(shared, axis=0)[mesh.comm.rank :: mesh.comm.size]
     x = position(np.concatenate([mine, shared]))
-    _check_any(mesh, len(x), f"a lattice of spacing {spacing}", inside)
+    check_any(mesh, len(x), f"a lattice of spacing {spacing}", inside)
     points = MaterialPoints(mesh, x, float(np.prod(step)), tag=tag)
     points.sort()
     return points
@@ -260,7 +274,7 @@ def on_facets(
     tangents = geometry.jacobian(cell, xi) @ edges[side]
     metric = np.swapaxes(tangents, 1, 2) @ tangents
     weight = np.tile(weights, len(chosen)) * np.sqrt(np.linalg.det(metric))
-    _check_any(mesh, len(weight), "a rule on facets", facets if callable(facets) else None)
+    check_any(mesh, len(weight), "a rule on facets", facets if callable(facets) else None)
     body = MaterialPoints(mesh, geometry.push_forward(cell, xi), weight, cells=cell, tag=tag)
     body.sort()
     return body
@@ -323,71 +337,17 @@ def _shares(
 
 
 def _draw(
-    key: npt.NDArray[np.int64], highest: int, shape: tuple[int, int], seed: int
-) -> npt.NDArray[np.float64]:
-    """Numbers in [0, 1) for cells of the given keys, shape (len(key), *shape)."""
+    geometry: CellGeometry, filled: Cells, highest: int, per_cell: int, seed: int
+) -> Iterator[tuple[Cells, Array]]:
+    """Random reference coordinates in the filled cells, some cells at a time."""
     rng = np.random.default_rng(seed)
-    result = np.empty((len(key), *shape))
+    key = geometry.key[filled]
     for start in range(0, highest + 1, _BLOCK):
         # All ranks draw the numbers of all cells, a block at a time, and take those of their own.
-        numbers = rng.random((min(_BLOCK, highest + 1 - start), *shape))
-        mine = (key >= start) & (key < start + _BLOCK)
-        result[mine] = numbers[key[mine] - start]
-    return result
-
-
-def _lattice_indices(
-    corners: npt.NDArray[np.float64],
-    origin: npt.NDArray[np.float64],
-    spacing: npt.NDArray[np.float64],
-) -> npt.NDArray[np.int64]:
-    """Indices (n, d) of the lattice points in the bounding box of some cells, and a few beside."""
-    if not len(corners):
-        return np.zeros((0, len(origin)), dtype=np.int64)
-    first = np.floor((corners.min(axis=0) - origin) / spacing - 0.5).astype(np.int64)
-    last = np.ceil((corners.max(axis=0) - origin) / spacing - 0.5).astype(np.int64)
-    axes = [np.arange(i, j + 1) for i, j in zip(np.maximum(first, 0), last, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(origin))
-
-
-def _owned(
-    mesh: Mesh, geometry: CellGeometry, cells: npt.ArrayLike | None
-) -> npt.NDArray[np.int32]:
-    """The cells to fill on this rank, ascending."""
-    if cells is None:
-        return np.arange(geometry.num_owned, dtype=np.int32)
-    given = np.unique(np.asarray(cells))
-    error = None
-    if given.size and (given[0] < 0 or given[-1] >= geometry.num_cells):
-        error = ValueError(
-            f"cells to fill must be 0 to {geometry.num_cells - 1}, not {given[0]} to {given[-1]}"
-        )
-    raise_together(mesh.comm, error)
-    return given[given < geometry.num_owned].astype(np.int32)
-
-
-def _make(
-    mesh: Mesh,
-    geometry: CellGeometry,
-    cell: npt.NDArray[np.int32],
-    xi: npt.NDArray[np.float64],
-    weight: npt.NDArray[np.float64],
-    inside: Predicate | None,
-    tag: int,
-    what: str,
-) -> MaterialPoints:
-    """Points at known reference coordinates, as far as they are inside."""
-    x = geometry.push_forward(cell, xi)
-    if inside is not None:
-        error, mask = check_selection(inside, x)
-        raise_together(mesh.comm, error)
-        cell, xi, weight, x = cell[mask], xi[mask], weight[mask], x[mask]
-    _check_any(mesh, len(x), what, inside)
-    return MaterialPoints(mesh, x, weight, cells=cell, xi=xi, tag=tag)
-
-
-def _check_any(mesh: Mesh, count: int, what: str, inside: Predicate | None) -> None:
-    """Raise on all ranks if there are no points at all. Collective."""
-    if mesh.comm.allreduce(count) == 0:
-        region = getattr(inside, "__name__", repr(inside)) if inside else "the given cells"
-        raise ValueError(f"{what} gives no points in {region}")
+        numbers = rng.random((min(_BLOCK, highest + 1 - start), per_cell, geometry.dim))
+        mine = np.flatnonzero((key >= start) & (key < start + _BLOCK))
+        xi = numbers[key[mine] - start]
+        if geometry.is_simplex:
+            # The gaps between sorted uniform numbers are uniform barycentric coordinates.
+            xi = np.diff(np.sort(xi, axis=2), axis=2, prepend=0.0)
+        yield filled[mine], xi.reshape(-1, geometry.dim)

@@ -5,6 +5,47 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+# Bits that are sorted by at a time: their counts stay in the first cache.
+_BITS = 11
+
+
+def order_by_number(number: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
+    """Stable sort, with no memory for numbers that no point has, of which there may be many more.
+
+    Args:
+        number: Of each point, from 0, shape (n,).
+
+    Returns:
+        The order (n,) of the points by number, int64.
+    """
+    highest = int(number.max(initial=0))
+    if highest < len(number):
+        return sort_by_number(number, highest + 1)[0]
+    return _sort_by_bits(number, highest)
+
+
+@numba.njit(cache=True)
+def _sort_by_bits(number, highest):  # type: ignore[no-untyped-def]
+    """Order (n,) of numbers up to the highest, by sorting for the lower bits first."""
+    n = len(number)
+    order = np.arange(n)
+    other = np.empty_like(order)
+    position = np.empty((1 << _BITS) + 1, dtype=np.int64)
+    shift = 0
+    while highest >> shift > 0:
+        position[:] = 0
+        for p in range(n):
+            position[(number[p] >> shift & (1 << _BITS) - 1) + 1] += 1
+        for k in range(1 << _BITS):
+            position[k + 1] += position[k]
+        for p in order:
+            bits = number[p] >> shift & (1 << _BITS) - 1
+            other[position[bits]] = p
+            position[bits] += 1
+        order, other = other, order
+        shift += _BITS
+    return order
+
 
 @numba.njit(cache=True)
 def sort_by_number(

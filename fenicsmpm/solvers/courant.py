@@ -10,6 +10,7 @@ from typing import SupportsFloat
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm.materials import Law
@@ -69,10 +70,10 @@ class CourantStep:
         self.factor, self.smallest, self.largest = factor, smallest, largest
         self.history: list[float] = []
         mesh = next(iter(laws)).mesh
-        corners = cell_geometry(mesh).corners
-        n = corners.shape[1]
-        pairs = [corners[:, i] - corners[:, j] for i in range(n) for j in range(i)]
-        shortest = min(float(np.linalg.norm(edge, axis=1).min(initial=math.inf)) for edge in pairs)
+        geometry = cell_geometry(mesh)
+        shortest = min(
+            (_shortest(geometry.corners(c)) for c in geometry.blocks()), default=math.inf
+        )
         self._h = mesh.comm.allreduce(shortest, MPI.MIN)
         self._space = fem.functionspace(mesh, ("Lagrange", 1))
 
@@ -93,3 +94,10 @@ class CourantStep:
         dt = min(max(dt, self.smallest), self.largest)
         self.history.append(dt)
         return dt
+
+
+def _shortest(corners: npt.NDArray[np.float64]) -> float:
+    """Shortest distance of two vertices of a cell, of ``(n_cells, n_vertices, d)`` [m]."""
+    n = corners.shape[1]
+    pairs = [corners[:, i] - corners[:, j] for i in range(n) for j in range(i)]
+    return min(float(np.linalg.norm(edge, axis=1).min(initial=math.inf)) for edge in pairs)

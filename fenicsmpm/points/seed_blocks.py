@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: MIT
+"""Looking for the points of a body block by block.
+
+There may be many more points in the mesh than in the body: only one block of them is kept at a
+time.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.checks import check_selection
+from fenicsmpm.points.geometry import CellGeometry
+from fenicsmpm.points.material_points import MaterialPoints
+
+Predicate: TypeAlias = Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+Array: TypeAlias = npt.NDArray[np.float64]
+Cells: TypeAlias = npt.NDArray[np.int32]
+
+# Points in a block.
+_MANY = 1 << 16
+
+
+def owned_of(mesh: Mesh, geometry: CellGeometry, cells: npt.ArrayLike | None) -> Cells:
+    """The cells to fill on this rank, ascending."""
+    if cells is None:
+        return np.arange(geometry.num_owned, dtype=np.int32)
+    given = np.unique(np.asarray(cells))
+    error = None
+    if given.size and (given[0] < 0 or given[-1] >= geometry.num_cells):
+        error = ValueError(
+            f"cells to fill must be 0 to {geometry.num_cells - 1}, not {given[0]} to {given[-1]}"
+        )
+    raise_together(mesh.comm, error)
+    return given[given < geometry.num_owned].astype(np.int32)
+
+
+def lattice_indices(
+    lower: Array, upper: Array, origin: Array, spacing: Array
+) -> Iterator[npt.NDArray[np.int64]]:
+    """Indices (n, d) of the lattice points in a box, and a few beside, some at a time.
+
+    The box is from `lower` to `upper` (infinity, if there is none).
+    """
+    if not np.all(np.isfinite(upper)):
+        return
+    first = np.maximum(np.floor((lower - origin) / spacing - 0.5).astype(np.int64), 0)
+    last = np.ceil((upper - origin) / spacing - 0.5).astype(np.int64)
+    counts = np.maximum(last - first + 1, 0)
+    for start in range(0, int(np.prod(counts)), _MANY):
+        numbers = np.arange(start, min(start + _MANY, int(np.prod(counts))))
+        yield first + np.stack(np.unravel_index(numbers, tuple(counts)), axis=-1)
+
+
+def split(filled: Cells, per_cell: int) -> Iterator[Cells]:
+    """The filled cells, some at a time."""
+    step = max(1, _MANY // per_cell)
+    for start in range(0, len(filled), step):
+        yield filled[start : start + step]
+
+
+def make_points(
+    mesh: Mesh,
+    geometry: CellGeometry,
+    blocks: Iterable[tuple[Cells, Array]],
+    weigh: Callable[[Cells, Array], Array],
+    inside: Predicate | None,
+    tag: int,
+    what: str,
+) -> MaterialPoints:
+    """Points at known reference coordinates, as far as they are inside, cell by cell.
+
+    Args:
+        mesh: Background mesh.
+        geometry: Shapes of its cells.
+        blocks: Some cells (n,), and the coordinates of their points, cell by cell, shape (m, d).
+            There may be many more of these than of points inside: no more than a block of them is
+            kept at a time.
+        weigh: From a block to the weights, shape (m,).
+        inside: Only points where this is true.
+        tag: Tag of the points.
+        what: For the message if there are none.
+    """
+    none = np.zeros((0, geometry.dim))
+    kept: list[tuple[npt.NDArray, ...]] = [
+        (np.zeros(0, dtype=np.int32), none, np.zeros(0), none),
+    ]
+    error = None
+    for some, xi in blocks:
+        if not len(some):
+            continue
+        cell = np.repeat(some, len(xi) // len(some))
+        x = geometry.push_forward(cell, xi)
+        mask: npt.NDArray[np.bool_] = np.full(len(x), True)
+        if inside is not None:
+            error, mask = check_selection(inside, x)
+        if error is not None:
+            break
+        if mask.any():
+            kept.append((cell[mask], xi[mask], weigh(some, xi)[mask], x[mask]))
+    raise_together(mesh.comm, error)
+    cell, xi, weight, x = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
+    del kept
+    check_any(mesh, len(x), what, inside)
+    order = np.argsort(cell, kind="stable")
+    return MaterialPoints(mesh, x[order], weight[order], cells=cell[order], xi=xi[order], tag=tag)
+
+
+def check_any(mesh: Mesh, count: int, what: str, inside: Predicate | None) -> None:
+    """Raise on all ranks if there are no points at all. Collective."""
+    if mesh.comm.allreduce(count) == 0:
+        region = getattr(inside, "__name__", repr(inside)) if inside else "the given cells"
+        raise ValueError(f"{what} gives no points in {region}")
