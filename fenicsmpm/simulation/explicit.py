@@ -262,8 +262,14 @@ class ExplicitMPM:
 def _smallest_height(mesh: Any) -> float:
     """Smallest distance of a node of a cell from the opposite facet [m] (collective)."""
     geometry = cell_geometry(mesh)
-    gradients = geometry.centre_inverse
-    if geometry.is_simplex:
-        gradients = np.concatenate([gradients, gradients.sum(axis=1, keepdims=True)], axis=1)
-    steepest = np.max(np.sum(gradients**2, axis=2), initial=0.0)
-    return 1.0 / math.sqrt(mesh.comm.allreduce(float(steepest), MPI.MAX))
+    if geometry.boxes is not None:
+        return float(geometry.boxes.spacing.min())
+    centre = 1 / (geometry.dim + 1) if geometry.is_simplex else 0.5
+    steepest = 0.0
+    for cells in geometry.blocks():
+        gradients = geometry.inverse_jacobian(cells, np.full((len(cells), geometry.dim), centre))
+        if geometry.is_simplex:
+            last = gradients.sum(axis=1, keepdims=True)
+            gradients = np.concatenate([gradients, last], axis=1)
+        steepest = max(steepest, float(np.max(np.sum(gradients**2, axis=2))))
+    return 1.0 / math.sqrt(mesh.comm.allreduce(steepest, MPI.MAX))

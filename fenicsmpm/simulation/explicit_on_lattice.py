@@ -171,7 +171,7 @@ class OnLattice:
             mine = np.concatenate([[float(failed), float(strays)], reaction, *forces])
             comm.Allreduce(MPI.IN_PLACE, mine, MPI.SUM)
             failed, strays = mine[0] > 0, mine[1] > 0
-            reaction, *forces = np.split(mine[2:], np.cumsum([3, *map(len, forces[:-1])]))[: 1 + len(forces)]
+            reaction, *forces = np.split(mine[2:], np.cumsum([3, *map(len, forces)])[:-1])
             for box, force in zip(sim.rigid, forces, strict=True):
                 box.force = force.copy()
         if failed:
