@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: MIT
+"""Fused kernels on lattices do what forms and the layer between points and grid do."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from explicit_runs import use
+
+from fenicsmpm import ExplicitMPM, basis, forms, formulations, points
+from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid, VonMises
+
+COMM = MPI.COMM_WORLD
+BASES = ["linear", "gimp", "quadratic", "cubic"]
+RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
+AVERAGES = {
+    "none": None,
+    "default": formulations.FBar(),
+    "true": formulations.TRUE_J,
+    "drawn": formulations.FBar(0.3, 100.0),
+}
+
+
+def lattice(dim, n=7):
+    """The unit square or cube, whose cells are seen by all ranks that need them."""
+    kind = mesh.CellType.quadrilateral if dim == 2 else mesh.CellType.hexahedron
+    options = {"partitioner": basis.shared_vertex_partitioner}
+    corners = [np.zeros(dim), np.ones(dim)]
+    if dim == 2:
+        return mesh.create_rectangle(COMM, corners, [n, n], kind, **options)
+    return mesh.create_box(COMM, corners, [n] * 3, kind, **options)
+
+
+def body_on_walls(dim, functions, law):
+    """Points that fill a corner of the lattice, some of them on walls, edges and in the corner."""
+    domain = lattice(dim)
+    body = points.lattice(domain, 1 / 14, inside=lambda x: x.sum(axis=1) < 0.9)
+    on_walls = np.array([[0, 0, 0], [0.4, 0, 0], [0, 0.3, 0.2], [1, 0, 0], [0, 1, 1], [1, 1, 1]])
+    x = on_walls[:, :dim] if COMM.rank == 0 else np.empty((0, dim))
+    body.add(points.MaterialPoints(domain, x, weight=14.0**-dim))
+    use(body, functions)
+    formulations.set_initial_state(body, 2.0, lambda x: 0.3 * np.sin(5 * x[:, ::-1] + x))
+    formulations.internal_force(_test(domain), body, law)  # adds the state
+    _deform(body)
+    return body
+
+
+def _test(domain):
+    V = fem.functionspace(domain, ("Lagrange", 1, (domain.geometry.dim,)))
+    return ufl.TestFunction(V)
+
+
+def _deform(body):
+    """Some deformation, stress and averaged J at each point, by its position."""
+    dim = body.x.shape[1]
+    F = np.tile(np.eye(3), (len(body), 1, 1))
+    F[:, :dim, :dim] += 0.05 * np.sin(9 * body.x[:, :, None] + 4 * body.x[:, None, ::-1])
+    body["F"], body["J"] = F, np.linalg.det(F)
+    body["weight"] = body["V_0"] * body["J"]
+    body["sigma"] = np.einsum("pij,pkj->pik", F, F) * (1 + body.x[:, :1, None])
+    if "J_bar" in body:
+        body["J_bar"] = body["J"] * (1 + 0.02 * np.cos(7 * body.x[:, 0]))
+
+
+def simulation(body, law, averages, fused, **options):
+    """By fused kernels, or with all forces by forms."""
+    domain = body.mesh
+    V = fem.functionspace(domain, ("Lagrange", 1, (domain.geometry.dim,)))
+    v, w = fem.Function(V), ufl.TestFunction(V)
+    R = formulations.internal_force(w, body, law, fbar=averages)
+    if not fused:
+        R = fem.Constant(domain, 1.0) * R
+    R += formulations.body_force(w, body, np.arange(1.0, domain.geometry.dim + 1))
+    sim = ExplicitMPM(R, v, body, dt=1e-3, **options)
+    assert ("fused kernels" in str(sim)) == fused
+    return sim
+
+
+def values(body, names):
+    """Fields of all points of all ranks, by id."""
+    order = np.argsort(np.concatenate(COMM.allgather(body.id)))
+    return {name: np.concatenate(COMM.allgather(body[name]))[order] for name in names}
+
+
+def check(found, expected, tolerance=1e-12):
+    for name, value in expected.items():
+        scale = np.abs(value).max()
+        assert found[name] == pytest.approx(value, rel=0, abs=tolerance * scale), name
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("averages", AVERAGES)
+@pytest.mark.parametrize("functions", BASES)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_step(dim, functions, averages):
+    """Sums on the grid, internal forces, nodal motion, averages of J, what points get: all."""
+    fields, nodes = [], []
+    names = ("x", "v", "u", "F", "J", "sigma", "weight")
+    names += () if AVERAGES[averages] is None else ("J_bar",)
+    for fused in (True, False):
+        body = body_on_walls(dim, functions, RUBBER)
+        sim = simulation(body, RUBBER, AVERAGES[averages], fused, flip=0.9)
+        sim.step()
+        fields.append(values(body, names))
+        functions_of_nodes = (sim.mass, sim.velocity, sim.acceleration)
+        nodes.append([f.x.array.copy() for f in functions_of_nodes])
+    check(*fields)
+    for a, b in zip(*nodes, strict=True):
+        scale = COMM.allreduce(np.abs(b).max(), MPI.MAX)
+        assert a == pytest.approx(b, rel=0, abs=1e-12 * scale)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("functions", BASES)
+def test_many_steps_of_many_laws(functions):
+    """Fluids, plasticity and bodies that meet; velocities that laws read."""
+    laws = [NewtonianFluid(100.0, 0.5), VonMises(100.0, 0.4, sigma_y=1.0), Hencky(100.0, 0.3)]
+    for law in laws:
+        found = []
+        for fused in (True, False):
+            body = body_on_walls(2, functions, law)
+            sim = simulation(body, law, formulations.default_fbar(law), fused, damping=0.1)
+            for _ in range(5):
+                sim.step()
+            found.append(values(body, ("x", "v", "F", "sigma", *law.state)))
+        check(*found, tolerance=1e-11)
