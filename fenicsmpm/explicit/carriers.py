@@ -13,7 +13,9 @@ import numba
 import numpy as np
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
+from fenicsmpm.explicit.grid import FORCE, MASS, VELOCITY, full_share
+from fenicsmpm.explicit.stencils import OPTIONS, stencils
+from fenicsmpm.explicit.tiles import ON_WALL, row_of
 from fenicsmpm.lanes import LANES
 
 # Nodes are light that have less than this share of the largest mass around a point. Where points
@@ -24,28 +26,31 @@ _njit = numba.njit(**OPTIONS)
 
 
 @functools.cache
-def to_nodes(dim: int, kind: int) -> Any:
-    """Compile the function that adds the force ``(d,)`` of the i-th point of a block to its nodes.
+def node_rows(dim: int, kind: int) -> Any:
+    """Compile the function that finds the nodes of the i-th point of a block, one by one.
 
-    Arguments are i, what ``stencils`` gives of its block, the force and the nodes' rows.
+    Arguments are i, what ``stencils`` gives of its block, not in a window, the nodes, the numbers
+    of the tiles that there are, and results ``(width^d,)``: rows of the nodes, counted through, or
+    -1 where there is no tile; and values of functions.
     """
     width = WIDTH[kind]
     depth = width if dim == 3 else 1
 
     @_njit
-    def add(i, nodes, base, w, force, rows):
-        far, near = strides(nodes)
+    def find(i, base, w, nodes, ids, rows, values):
+        first_x = base[i] // (nodes.shape[1] * nodes.shape[2])
+        first_y = base[i] // nodes.shape[2] % nodes.shape[1]
+        first_z, n = base[i] % nodes.shape[2], 0
         for a in range(width):
             for b in range(width):
                 for c in range(depth):
-                    node = base[i] + a * far + b * near + c
-                    share = w[a, i] * w[width + b, i]
+                    rows[n] = row_of(first_x + a, first_y + b, first_z + c, nodes, ids)
+                    values[n] = w[a, i] * w[width + b, i]
                     if dim == 3:
-                        share *= w[2 * width + c, i]
-                    for k in range(dim):
-                        rows[node, 5 + k] += share * force[k]
+                        values[n] *= w[2 * width + c, i]
+                    n += 1
 
-    return add
+    return find
 
 
 class Carriers(NamedTuple):
@@ -63,37 +68,31 @@ def carriers(dim: int, kind: int) -> Carriers:
     would throw such nodes ahead, and the point with them; so they have less of the force and of the
     motion, in proportion to their mass, and the others have more.
     """
-    width, fill = WIDTH[kind], stencils(dim, kind)
-    depth = width if dim == 3 else 1
+    width, fill = WIDTH[kind], stencils(dim, kind, in_window=False)
+    find, count, lower = node_rows(dim, kind), WIDTH[kind] ** dim, (0.0, 0.0, 0.0)
 
     @_njit
-    def shares(i, nodes, base, w, rows, least_mass, numbers, values):
+    def shares(i, nodes, ids, base, w, rows, least_mass, places, values):
         """Nodes of the i-th point of a block and their shares, whose sum is one.
 
         Returns:
             Whether there is mass.
         """
-        far, near = strides(nodes)
-        n, largest = 0, least_mass
-        for a in range(width):
-            for b in range(width):
-                for c in range(depth):
-                    numbers[n] = base[i] + a * far + b * near + c
-                    values[n] = w[a, i] * w[width + b, i]
-                    if dim == 3:
-                        values[n] *= w[2 * width + c, i]
-                    largest = max(largest, rows[numbers[n], 0])
-                    n += 1
-        total = 0.0
-        for n in range(width**dim):
-            values[n] *= min(1.0, rows[numbers[n], 0] / (_LIGHT * largest))
+        find(i, base, w, nodes, ids, places, values)
+        largest, total = least_mass, 0.0
+        for n in range(count):
+            if places[n] >= 0:
+                largest = max(largest, rows[places[n], MASS])
+        for n in range(count):
+            m = rows[places[n], MASS] if places[n] >= 0 else 0.0
+            values[n] *= full_share(m, largest, _LIGHT)
             total += values[n]
         values /= total if total > 0.0 else 1.0
         return total > 0.0
 
     @_njit
-    def add_forces(nodes, half, x, force, rows, least_mass, forces):
-        """External forces of points, ``(n, d)`` [N], to ``forces (n_nodes, 3)``.
+    def add_forces(nodes, ids, half, x, force, rows, least_mass, forces):
+        """External forces of points, ``(n, d)`` [N], to those of all nodes, ``(n_nodes, 3)``.
 
         Positions x are in blocks, rows have the mass of all points.
 
@@ -102,41 +101,49 @@ def carriers(dim: int, kind: int) -> Carriers:
         """
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
-        numbers, values = np.empty(width**dim, np.int64), np.empty(width**dim)
+        places, values = np.empty(count, np.int64), np.empty(count)
         bad = -1
         for p in range(len(force)):
             i = p % LANES
             if i == 0:
-                fill(x, p // LANES, nodes, half, base, w, d)
-            if not shares(i, nodes, base, w, rows, least_mass, numbers, values):
+                fill(x, p // LANES, nodes, half, lower, base, w, d)
+            if not shares(i, nodes, ids, base, w, rows, least_mass, places, values):
                 bad = p
-            for n in range(width**dim):
-                for k in range(dim):
-                    forces[numbers[n], k] += values[n] * force[p, k]
+            for n in range(count):
+                if values[n] != 0.0:
+                    for k in range(dim):
+                        forces[places[n], k] += values[n] * force[p, k]
         return bad
 
     @_njit
-    def follow(nodes, half, x, count, rows, least_mass, dt):
+    def follow(nodes, ids, half, x, points, t_low, t_high, rows, least_mass, dt):
         """Move points, in blocks, with the grid (eq. 17).
 
         Returns:
-            One of them that has left the lattice; or -1.
+            One of them that has left the lattice, or -1; and whether one has gone further than its
+            tiles.
         """
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
-        numbers, values = np.empty(width**dim, np.int64), np.empty(width**dim)
-        bad = -1
-        for p in range(count):
+        places, values = np.empty(count, np.int64), np.empty(count)
+        bad, strays = -1, False
+        for p in range(points):
             block, i = p // LANES, p % LANES
             if i == 0:
-                fill(x, block, nodes, half, base, w, d)
-            shares(i, nodes, base, w, rows, least_mass, numbers, values)
+                fill(x, block, nodes, half, lower, base, w, d)
+            shares(i, nodes, ids, base, w, rows, least_mass, places, values)
             for k in range(dim):
-                for n in range(width**dim):
-                    x[block * dim + k, i] += dt * values[n] * rows[numbers[n], 1 + k]
+                for n in range(count):
+                    if values[n] != 0.0:
+                        x[block * dim + k, i] += dt * values[n] * rows[places[n], VELOCITY + k]
                 t = (x[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
-                if not 0 <= t <= nodes.shape[k] - 1:
+                if not -ON_WALL <= t <= nodes.shape[k] - 1 + ON_WALL:
                     bad = p
-        return bad
+                elif t < ON_WALL:
+                    x[block * dim + k, i] = nodes.origin[k]
+                elif t > nodes.shape[k] - 1 - ON_WALL:
+                    x[block * dim + k, i] = nodes.upper[k]
+                strays |= not t_low[p, k] <= t <= t_high[p, k]
+        return bad, strays
 
     return Carriers(add_forces, follow)

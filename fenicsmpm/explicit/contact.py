@@ -25,8 +25,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.carriers import to_nodes
+from fenicsmpm.explicit.carriers import node_rows
+from fenicsmpm.explicit.grid import FORCE
 from fenicsmpm.explicit.stencils import OPTIONS, stencils
+from fenicsmpm.explicit.tiles import ON_WALL
 from fenicsmpm.lanes import LANES
 
 _njit = numba.njit(**OPTIONS)
@@ -113,7 +115,8 @@ class Contact(NamedTuple):
 @functools.cache
 def contact(dim: int, kind: int) -> Contact:
     """Compile contact of points with boxes."""
-    width, fill, add = WIDTH[kind], stencils(dim, kind), to_nodes(dim, kind)
+    width, fill = WIDTH[kind], stencils(dim, kind, in_window=False)
+    find, count, lattice = node_rows(dim, kind), WIDTH[kind] ** dim, (0.0, 0.0, 0.0)
 
     @_inline
     def gap(x, block, i, lower, upper, normal):
@@ -137,7 +140,9 @@ def contact(dim: int, kind: int) -> Contact:
         return nearest
 
     @_njit
-    def push(nodes, half, x, v, mass, lower, upper, velocity, reach, stiffness, friction, dt, rows):
+    def push(
+        nodes, ids, half, x, v, mass, lower, upper, velocity, reach, stiffness, friction, dt, rows
+    ):
         """Contact forces to the nodes; points in blocks.
 
         Returns:
@@ -146,6 +151,7 @@ def contact(dim: int, kind: int) -> Contact:
         base = np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         normal, force, total = np.zeros(3), np.zeros(dim), np.zeros(dim)
+        places, values = np.empty(count, np.int64), np.empty(count)
         filled, bad = -1, -1
         for block in range(len(mass)):
             for i in range(LANES):
@@ -172,36 +178,41 @@ def contact(dim: int, kind: int) -> Contact:
                     force[k] = f * normal[k] - share * m * force[k] / dt
                     total[k] += force[k]
                 if filled != block:
-                    fill(x, block, nodes, half, base, w, d)
+                    fill(x, block, nodes, half, lattice, base, w, d)
                     filled = block
-                add(i, nodes, base, w, force, rows)
+                find(i, base, w, nodes, ids, places, values)
+                for n in range(count):
+                    for k in range(dim):
+                        rows[places[n], FORCE + k] += values[n] * force[k]
         return total, bad
 
     @_njit
-    def hold_back(nodes, x_next, v, mass, lower, upper, velocity, reach, dt):
+    def hold_back(nodes, units, x_next, v, mass, lower, upper, velocity, reach, dt):
         """Keep points out of a box at its new place.
 
         Returns:
-            The force that this took, ``(d,)``, and a block with a point that has left the lattice
-            by this, or -1.
+            The force that this took, ``(d,)``; a block with a point that has left the lattice by
+            this, or -1; and whether one has left its window.
         """
-        normal, total, bad = np.zeros(3), np.zeros(dim), -1
-        for block in range(len(mass)):
-            for i in range(LANES):
-                distance = gap(x_next, block, i, lower, upper, normal)
-                if distance >= _CLOSEST * reach:
-                    continue
-                approach = 0.0
-                for k in range(dim):
-                    x_next[block * dim + k, i] += (_CLOSEST * reach - distance) * normal[k]
-                    approach += (v[block * dim + k, i] - velocity[k]) * normal[k]
-                    t = (x_next[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
-                    if not 0 <= t <= nodes.shape[k] - 1:
-                        bad = block
-                if approach < 0.0:
+        normal, total, bad, strays = np.zeros(3), np.zeros(dim), -1, False
+        for unit in range(len(units.blocks) - 1):
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                for i in range(LANES):
+                    distance = gap(x_next, block, i, lower, upper, normal)
+                    if distance >= _CLOSEST * reach:
+                        continue
+                    approach = 0.0
                     for k in range(dim):
-                        v[block * dim + k, i] -= approach * normal[k]
-                        total[k] -= mass[block, i] * approach * normal[k] / dt
-        return total, bad
+                        x_next[block * dim + k, i] += (_CLOSEST * reach - distance) * normal[k]
+                        approach += (v[block * dim + k, i] - velocity[k]) * normal[k]
+                        t = (x_next[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
+                        if not -ON_WALL <= t <= nodes.shape[k] - 1 + ON_WALL:
+                            bad = block
+                        strays |= not units.t_low[unit, k] <= t <= units.t_high[unit, k]
+                    if approach < 0.0:
+                        for k in range(dim):
+                            v[block * dim + k, i] -= approach * normal[k]
+                            total[k] -= mass[block, i] * approach * normal[k] / dt
+        return total, bad, strays
 
     return Contact(push, hold_back)

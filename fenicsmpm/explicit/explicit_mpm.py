@@ -18,14 +18,14 @@ from dolfinx import fem
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.checks import check_points, check_space
 from fenicsmpm.explicit.contact import RigidBox
-from fenicsmpm.explicit.parts import Load, Part
+from fenicsmpm.explicit.engine import LatticeEngine
 from fenicsmpm.formulations.fbar import FBar, default_fbar
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
@@ -124,15 +124,10 @@ class ExplicitMPM:
         self.V, self._spacing = V, lattice.spacing
         self._kind = KINDS[basis]
         check_space(V, lattice.shape, WIDTH[self._kind])
-        self._nodes = grid.nodes_of(lattice)
-        self._parts = [
-            Part(
-                body, law, self._kind, default_fbar(law) if fbar == "default" else fbar, self._nodes
-            )
-            for body, law in bodies.items()
-        ]
+        fbars = [default_fbar(law) if fbar == "default" else fbar for law in bodies.values()]
+        self._engine = LatticeEngine(V, bodies, fbars, loads, self._kind)
+        check_bcs(bcs, V)
         self.bodies, self.carried, self.laws = list(bodies), list(loads), dict(bodies)
-        self._loads = [Load(points, self._kind) for points in loads]
         self.bcs, self.rigid = list(bcs), list(rigid)
         self.gravity = np.zeros(3)
         dim = len(self._spacing)
@@ -146,12 +141,7 @@ class ExplicitMPM:
         self.time, self.number = 0.0, 0
         self.reaction = np.zeros(3)
         self.seconds = Stopwatch()
-        self._forces = np.zeros((self._nodes.size if loads else 0, 3))
         self._cfl, self._given_dt, self._unsorted, self._warned = cfl, dt, 0, False
-        masses = [float(np.min(body["mass"], initial=np.inf)) for body in self.bodies]
-        # far below any point's share in a node whose support it is in
-        self._least_mass = 1e-16 * V.mesh.comm.allreduce(min(masses), MPI.MIN)
-        self._supports = grid.Supports(self._nodes, V, self.bcs)
         self.dt = self._step_length()
 
     # --- steps -------------------------------------------------------------------------------
@@ -201,20 +191,15 @@ class ExplicitMPM:
         """Do some steps; the points are up to date after the last."""
         self.dt = dt
         before = self.time, self.number, [box.moved for box in self.rigid]
-        clock = self.seconds
+        clock, engine = self.seconds, self._engine
         try:
             with clock("begin"):
-                self._supports = grid.Supports(self._nodes, self.V, self.bcs)
-                self._fixed = self._supports.now()
-                for part in self._parts:
-                    part.begin(self.laws[part.points])
-                for load in self._loads:
-                    load.begin()
+                engine.begin(self.laws, self.bcs)
             for k in range(steps):
                 self._one_step(again=k < steps - 1)
                 self.time += self.dt
                 self.number += 1
-            self._raise_if([p.describe(bad) for p in self._parts if (bad := p.bad_stress()) >= 0])
+            self._raise_if([p.describe(bad) for p in engine.parts if (bad := p.bad_stress()) >= 0])
         except BaseException:
             self.time, self.number, ways = before
             for box, way in zip(self.rigid, ways, strict=True):
@@ -223,94 +208,56 @@ class ExplicitMPM:
         with clock("settle"):
             self._unsorted += steps
             sort = self._unsorted >= STEPS_OF_A_BLOCK
-            for part in self._parts:
-                part.settle(sort)
-            for load in self._loads:
-                load.settle()
+            engine.settle(sort)
             if sort:
                 self._unsorted = 0
 
     def _one_step(self, again: bool) -> None:
-        clock = self.seconds
+        clock, engine, dt = self.seconds, self._engine, self.dt
         if self.data is not None:
             self.data(self.time)
-            self._fixed = self._supports.now()
+            engine.read_supports()
         with clock("nodes"):
-            rows = self._move_nodes()
+            velocities = [box.velocity_at(self.time) for box in self.rigid]
+            messages = []
+            for box, velocity in zip(self.rigid, velocities, strict=True):
+                box.force = np.zeros_like(box.force)
+                messages += engine.push(box, velocity, dt)
+            engine.sum_nodes()
+            messages += engine.add_loads()
+            reaction = engine.move_nodes(dt, self.gravity, self.damping)
+            messages += engine.move_loads(dt)
         with clock("gather"):
-            bad = [part.gather(rows, self.dt, self.flip) for part in self._parts]
-            self._raise_if([p.describe(b) for p, b in zip(self._parts, bad, strict=True) if b >= 0])
-            self._hold_back()
+            messages += engine.gather(dt, self.flip)
+            for box, velocity in zip(self.rigid, velocities, strict=True):
+                box.moved = box.moved + dt * velocity
+                messages += engine.hold_back(box, velocity, dt)
         with clock("nodes"):
-            for part in self._parts:
-                part.average(self._add_ranks)
+            anew = self._agree(messages, reaction)
+            engine.average()
         with clock("finish"):
-            for part in self._parts:
-                part.finish(again)
+            engine.finish(again, anew)
 
-    def _move_nodes(self) -> npt.NDArray[np.float64]:
-        """From the points' mass, momentum and forces to velocities of the nodes, ``(n, 8)``."""
-        nodes, dt = self._nodes, self.dt
-        self._push()
-        for part in self._parts:
-            grid.sum_threads(part.rows)
-            self._add_ranks(part.rows[0])
-        rows = self._parts[0].rows[0]
-        for part in self._parts[1:]:
-            grid.add_body(part.rows[0], rows)
-        if self._loads:
-            self._add_loads(rows)
-        self.reaction = grid.reactions(rows, dt, self.gravity, *self._fixed)
-        grid.update_nodes(rows, dt, self.gravity, self.damping, self._least_mass)
-        grid.constrain(rows, *self._fixed)
-        if self._loads:
-            bad = [load.follow(rows, nodes, self._least_mass, dt) for load in self._loads]
-            self._raise_if(_describe_loads(self._loads, bad, "leaves the lattice"))
-        return rows
+    def _agree(self, messages: list[str], reaction: npt.NDArray[np.float64]) -> bool:
+        """Sum up over ranks what each has found in a step (collective).
 
-    def _add_loads(self, rows: npt.NDArray[np.float64]) -> None:
-        """Add the forces of loads to nodes that have mass."""
-        forces, nodes = self._forces, self._nodes
-        forces[:] = 0.0
-        bad = [load.add_forces(rows, forces, nodes, self._least_mass) for load in self._loads]
-        self._raise_if(_describe_loads(self._loads, bad, "is away from all bodies"))
-        self._add_ranks(forces)
-        rows[:, 5:] += forces
-
-    def _push(self) -> None:
-        """Contact forces of rigid boxes."""
-        messages = []
-        for box in self.rigid:
-            velocity = box.velocity_at(self.time)
-            box.force = np.zeros_like(box.force)
-            for part in self._parts:
-                force, bad = part.push(box, velocity, self.dt)
-                box.force += force
-                if bad >= 0:
-                    messages.append(f"a point is inside of the box {box.lower} ... {box.upper}")
-        if self.rigid:
-            self._raise_if(messages)
-
-    def _hold_back(self) -> None:
-        """Move rigid boxes, and keep points out of them."""
-        messages = []
-        for box in self.rigid:
-            velocity = box.velocity_at(self.time)
-            box.moved = box.moved + self.dt * velocity
-            for part in self._parts:
-                force, bad = part.hold_back(box, velocity, self.dt)
-                box.force += force
-                if bad >= 0:
-                    messages.append(part.describe(bad))
-            self._add_ranks(box.force)
-        if self.rigid:
-            self._raise_if(messages)
-
-    def _add_ranks(self, array: npt.NDArray[np.float64]) -> None:
-        """Sum an array over all ranks. Each has all nodes, of which there are fewer than points."""
-        comm = self.V.mesh.comm
+        Returns:
+            Whether points have left their tiles on any rank.
+        """
+        strays, comm = self._engine.strays, self.V.mesh.comm
+        failed = len(messages) > 0
         if comm.size > 1:
-            comm.Allreduce(MPI.IN_PLACE, array, MPI.SUM)
+            forces = [box.force for box in self.rigid]
+            mine = np.concatenate([[float(failed), float(strays)], reaction, *forces])
+            comm.Allreduce(MPI.IN_PLACE, mine, MPI.SUM)
+            failed, strays, reaction = mine[0] > 0, mine[1] > 0, mine[2:5].copy()
+            for i, box in enumerate(self.rigid):
+                first = 5 + i * len(box.force)
+                box.force = mine[first : first + len(box.force)].copy()
+        if failed:
+            self._raise_if(messages)
+        self.reaction = reaction
+        return bool(strays)
 
     def _raise_if(self, messages: list[str]) -> None:
         """Raise on all ranks if there is a message on any (collective)."""
@@ -352,14 +299,15 @@ class ExplicitMPM:
     def _stable_step(self) -> float:
         """Time that a wave takes through a cell: the limit of stability, about [s] (collective)."""
         fastest = 0.0
-        for part in self._parts:
-            points = part.points
+        for points in self.bodies:
             if len(points):
                 modulus = self.laws[points].wave_speed_modulus
                 density = float(np.min(points["mass"] / points["V_0"]))
                 speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
         fastest = self.V.mesh.comm.allreduce(fastest, MPI.MAX)
+        if fastest == 0.0:
+            raise ValueError("all bodies are empty: there are no points to move")
         return float(np.min(self._spacing)) / fastest
 
     def _step_length(self) -> float:
@@ -378,7 +326,3 @@ class ExplicitMPM:
         return (
             f"ExplicitMPM: {bodies}\n  step {self.number}, t = {self.time:g} s, dt = {self.dt:g} s"
         )
-
-
-def _describe_loads(loads: list[Load], bad: list[int], what: str) -> list[str]:
-    return [load.describe(p, what) for load, p in zip(loads, bad, strict=True) if p >= 0]

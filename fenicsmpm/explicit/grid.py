@@ -1,243 +1,227 @@
 # SPDX-License-Identifier: MIT
-"""The lattice's nodes in an explicit step: rows of numbers, momentum balance, conditions.
+"""What happens at the nodes in an explicit step: momentum balance, light nodes, conditions.
 
-Nodes are numbered through, the last direction fastest, whatever dolfinx' numbers are. Each thread
-adds its points to rows of its own; they are summed up in the order of threads. Bodies have rows of
-their own, too, because volumes and J of different bodies do not mix.
+Nodes have rows of eight numbers, tile by tile, ``(n_tiles, nodes of a tile, 8)``. Bodies have rows
+of their own, because volumes and J of different bodies do not mix.
 """
 
 # mypy: disallow_untyped_defs=False
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numba
 import numpy as np
-import numpy.typing as npt
-from dolfinx import fem
 
-from fenicsmpm import _compat
-from fenicsmpm.basis.lattice import Lattice
-from fenicsmpm.lanes import LANES, LINE_LANES, prefetch
-from fenicsmpm.solvers.checks import check_bcs
+from fenicsmpm.explicit.stencils import empty_rows
+from fenicsmpm.lanes import LANES
 
-# Rows that are fetched from memory ahead of the one that is worked on
-_AHEAD = 64
+# Columns of a row, of which vectors have three: before the update of the nodes ...
+MASS, MOMENTUM, VOLUME, FORCE = 0, 1, 4, 5
+# ... and after it
+VELOCITY, INCREMENT = MOMENTUM, FORCE
 
-
-class Nodes(NamedTuple):
-    """Nodes of a lattice on all ranks, for compiled loops.
-
-    In the plane, the third direction has one node.
-
-    Attributes:
-        origin: ``(3,)`` lowest node [m].
-        per_metre: ``(3,)`` cells per metre.
-        shape: ``(3,)`` number of nodes in each direction.
-    """
-
-    origin: npt.NDArray[np.float64]
-    per_metre: npt.NDArray[np.float64]
-    shape: npt.NDArray[np.int64]
-
-    @property
-    def size(self) -> int:
-        """Number of nodes."""
-        return int(np.prod(self.shape))
-
-    def numbers(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-        """Numbers of the nodes at positions ``(n, 3)`` [m]."""
-        index = np.rint((x - self.origin) * self.per_metre).astype(np.int64)
-        numbers = np.ravel_multi_index(tuple(index.T), tuple(self.shape))
-        return np.asarray(numbers, dtype=np.int64)
-
-    def nearest(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-        """Numbers of the nodes next to positions ``(n, d)`` [m]."""
-        return _nearest(self, np.ascontiguousarray(x))
-
-
-def nodes_of(lattice: Lattice) -> Nodes:
-    """Nodes of a lattice."""
-    dim = len(lattice.spacing)
-    origin, per_metre, shape = np.zeros(3), np.ones(3), np.ones(3, dtype=np.int64)
-    origin[:dim] = lattice.origin
-    per_metre[:dim] = 1.0 / lattice.spacing
-    shape[:dim] = lattice.shape + 1
-    return Nodes(origin, per_metre, shape)
+# Nodes with less mass than that of anything are empty
+_NOTHING = 1e-290
 
 
 @numba.njit(cache=True)
-def _nearest(nodes, x):
-    numbers = np.empty(len(x), np.int64)
-    for p in range(len(x)):
-        number = np.int64(0)
-        for k in range(x.shape[1]):
-            t = (x[p, k] - nodes.origin[k]) * nodes.per_metre[k]
-            number = number * nodes.shape[k] + int(t + 0.5)
-        numbers[p] = number
-    return numbers
+def full_share(m, largest, threshold):
+    """Share of a force that a node of mass m takes, by the largest mass around it, 0 to 1.
 
-
-class Constraints(NamedTuple):
-    """Prescribed components of velocities.
-
-    Attributes:
-        nodes: ``(n,)`` numbers.
-        components: ``(n,)`` 0, 1 or 2.
-        values: ``(n,)`` [m/s].
+    An element whose mass is a share s of a full one is stable up to steps that are sqrt(s) times
+    as long only, and points would follow a light node that is thrown ahead. So light nodes take
+    less of forces, and others more.
     """
-
-    nodes: npt.NDArray[np.int64]
-    components: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float64]
+    return min(1.0, m / (threshold * largest)) if m > _NOTHING else 0.0
 
 
-class Supports:
-    """Dirichlet conditions on velocities, known to all ranks.
-
-    Args:
-        nodes: of V's mesh.
-        V: space of velocities, linear, with a block of d components a node.
-        bcs: conditions on V or its components.
-    """
-
-    def __init__(self, nodes: Nodes, V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> None:
-        """Find the nodes (collective)."""
-        check_bcs(bcs, V)
-        self._V, self._bcs, self._value = V, list(bcs), fem.Function(V)
-        dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-        dofs = _compat.fixed_dofs(bcs)
-        # values at ghosts may differ from their owners' by round-off
-        self._dofs = dofs[dofs < owned * dim]
-        mine = nodes.numbers(V.tabulate_dof_coordinates()[self._dofs // dim])
-        self._nodes = np.concatenate(V.mesh.comm.allgather(mine))
-        self._components = np.concatenate(V.mesh.comm.allgather(self._dofs % dim)).astype(np.int64)
-
-    def now(self) -> Constraints:
-        """Nodes, components and their values now (collective)."""
-        for bc in self._bcs:
-            _compat.bc_set(bc, self._value.x.array, None, 1.0)
-        mine = self._value.x.array[self._dofs]
-        values = np.concatenate(self._V.mesh.comm.allgather(mine))
-        return Constraints(self._nodes, self._components, values)
+def tile_rows(tiles: int, per_tile: int, lanes: int = LANES) -> np.ndarray:
+    """Zeros ``(tiles, per_tile, lanes)``, each row within a cache line."""
+    rows = empty_rows(tiles * per_tile, lanes)
+    rows[:] = 0.0
+    return rows.reshape(tiles, per_tile, lanes)
 
 
-def empty_rows(threads: int, nodes: int, lanes: int) -> npt.NDArray[np.float64]:
-    """``(threads, nodes, lanes)`` zeros, each row or line within a cache line."""
-    size = threads * nodes * lanes
-    memory = np.zeros(size + LANES)
-    skip = (-memory.ctypes.data // memory.itemsize) % LANES
-    return memory[skip : skip + size].reshape(threads, nodes, lanes)
+@numba.njit(cache=True)
+def merge(tiles, copies):
+    """Add the copies of other threads, behind the tiles, to these, and clear them."""
+    first = len(tiles) - len(copies)
+    for c in range(len(copies)):
+        tile = copies[c]
+        for n in range(tiles.shape[1]):
+            for i in range(tiles.shape[2]):
+                tiles[tile, n, i] += tiles[first + c, n, i]
+                tiles[first + c, n, i] = 0.0
+
+
+@numba.njit(cache=True, parallel=True)
+def add_body(rows, place, total):
+    """Add the tiles of a body to those of all bodies."""
+    for tile in numba.prange(len(place)):
+        for n in range(rows.shape[1]):
+            for i in range(LANES):
+                total[place[tile], n, i] += rows[tile, n, i]
 
 
 @numba.njit(cache=True, parallel=True)
 def clear(rows):
-    """Zeros for all threads and nodes."""
-    for n in numba.prange(rows.shape[1]):
-        for t in range(rows.shape[0]):
+    """Zeros in all tiles."""
+    for tile in numba.prange(len(rows)):
+        for n in range(rows.shape[1]):
             for i in range(rows.shape[2]):
-                rows[t, n, i] = 0.0
+                rows[tile, n, i] = 0.0
 
 
 @numba.njit(cache=True, parallel=True)
-def sum_threads(rows):
-    """Add the rows of all threads to those of the first."""
-    for n in numba.prange(rows.shape[1]):
-        for t in range(1, rows.shape[0]):
-            for i in range(rows.shape[2]):
-                rows[0, n, i] += rows[t, n, i]
+def masses(rows, bounds):
+    """Smallest and largest mass of the nodes in each tile that have some, into ``(n_tiles, 2)``."""
+    for tile in numba.prange(len(rows)):
+        low, high = np.inf, 0.0
+        for n in range(rows.shape[1]):
+            m = rows[tile, n, MASS]
+            high = max(high, m)
+            low = min(low, m if m > _NOTHING else np.inf)
+        bounds[tile, 0], bounds[tile, 1] = low, high
+
+
+@numba.njit(cache=True)
+def _around(tile, n, side, neighbours, around):
+    """Rows of the nodes around the n-th one of a tile, those of the tile before first; how many."""
+    per_tile, count = side[0] * side[1] * side[2], 0
+    x, y, z = n // (side[1] * side[2]), n // side[2] % side[1], n % side[2]
+    reach_z = 1 if side[2] > 1 else 0
+    for a in range(x - 1, x + 2):
+        for b in range(y - 1, y + 2):
+            for c in range(z - reach_z, z + reach_z + 1):
+                if a == x and b == y and c == z:
+                    continue
+                i, j, k = a // side[0] + 1, b // side[1] + 1, c // side[2] + 1
+                other = neighbours[tile, (i * 3 + j) * 3 + k]
+                if other >= 0:
+                    node = ((a % side[0]) * side[1] + b % side[1]) * side[2] + c % side[2]
+                    around[count] = other * per_tile + node
+                    count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def spare_light_nodes(rows, bounds, neighbours, side, threshold):
+    """Give a part of the forces on light nodes to those around them.
+
+    A node takes ``full_share`` of its force; the rest goes to the nodes around it in proportion to
+    their masses, so that momentum is kept.
+
+    Args:
+        rows: ``(n_tiles, nodes, 8)``.
+        bounds: of the masses in each tile, see ``masses``.
+        neighbours: ``(n_tiles, 27)`` tiles around each.
+        side: ``(3,)`` nodes of a tile.
+        threshold: share of the largest mass around a node from which on it is not light.
+    """
+    flat = rows.reshape(-1, LANES)
+    per_tile = rows.shape[1]
+    around = np.empty(27, np.int64)
+    light, rests = [np.int64(0) for _ in range(0)], [np.zeros(3) for _ in range(0)]
+    for tile in range(len(rows)):
+        largest = 0.0
+        for other in neighbours[tile]:
+            if other >= 0:
+                largest = max(largest, bounds[other, 1])
+        if not bounds[tile, 0] < threshold * largest:
+            continue
+        for n in range(per_tile):
+            m = rows[tile, n, MASS]
+            if not _NOTHING < m < threshold * largest:
+                continue
+            count, near = _around(tile, n, side, neighbours, around), m
+            for i in range(count):
+                near = max(near, flat[around[i], MASS])
+            share = full_share(m, near, threshold)
+            if share < 1.0:
+                light.append(tile * per_tile + n)
+                rests.append((1.0 - share) * rows[tile, n, FORCE:].copy())
+    for i in range(len(light)):
+        count, total = _around(light[i] // per_tile, light[i] % per_tile, side, neighbours, around), 0.0
+        for j in range(count):
+            total += flat[around[j], MASS]
+        for k in range(3):
+            rest = rests[i][k]
+            flat[light[i], FORCE + k] -= rest
+            for j in range(count):
+                flat[around[j], FORCE + k] += flat[around[j], MASS] / total * rest
 
 
 @numba.njit(cache=True, parallel=True)
-def add_body(rows, total):
-    """Add the rows ``(nodes, 8)`` of another body to those of the first, but for the volume."""
-    for n in numba.prange(len(rows)):
-        for i in range(LANES):
-            if i != 4:
-                total[n, i] += rows[n, i]
-
-
-@numba.njit(cache=True, parallel=True)
-def sum_averages(lines, sums):
-    """Add up the lines ``(threads, nodes, 4)`` of averages to ``(nodes,)``."""
-    head = LINE_LANES - 1
-    for n in numba.prange(len(sums)):
-        total = 0.0
-        for t in range(lines.shape[0]):
-            prefetch(lines[t], n // 2 + _AHEAD)  # two lines are as long as a row
-            if n >= head:  # without an inner loop it is four times faster
-                total += lines[t, n, 0] + lines[t, n - 1, 1] + lines[t, n - 2, 2]
-                total += lines[t, n - 3, 3]
-            else:
-                for c in range(n + 1):
-                    total += lines[t, n - c, c]
-        sums[n] = total
-
-
-@numba.njit(cache=True, parallel=True)
-def update_nodes(rows, dt, gravity, damping, least_mass):
+def update_nodes(rows, bounds, dt, gravity, damping):
     """New velocities of the nodes, eq. 9 (F-bar), with local damping.
 
     The damping force is that share of the unbalanced force, against the motion (Al-Kafaji,
     *Formulation of a dynamic material point method for geomechanical problems*, 2013).
     """
-    for n in numba.prange(len(rows)):
-        prefetch(rows, n + _AHEAD)
-        m = rows[n, 0]
-        if m > least_mass:
-            per_mass = 1.0 / m
-            for k in range(3):
-                v = rows[n, 1 + k] * per_mass
-                f = rows[n, 5 + k] + m * gravity[k]
-                dv = dt * (f - damping * abs(f) * np.sign(v)) * per_mass
-                rows[n, 1 + k] = v + dv
-                rows[n, 5 + k] = dv
-        else:
-            for k in range(3):
-                rows[n, 1 + k] = 0.0
-                rows[n, 5 + k] = 0.0
+    for tile in numba.prange(len(rows)):
+        if bounds[tile, 1] == 0.0:
+            continue
+        for n in range(rows.shape[1]):
+            m = rows[tile, n, MASS]
+            if m > _NOTHING:
+                per_mass = 1.0 / m
+                for k in range(3):
+                    v = rows[tile, n, MOMENTUM + k] * per_mass
+                    f = rows[tile, n, FORCE + k] + m * gravity[k]
+                    dv = dt * (f - damping * abs(f) * np.sign(v)) * per_mass
+                    rows[tile, n, VELOCITY + k] = v + dv
+                    rows[tile, n, INCREMENT + k] = dv
+            else:
+                for k in range(3):
+                    rows[tile, n, VELOCITY + k] = 0.0
+                    rows[tile, n, INCREMENT + k] = 0.0
 
 
 @numba.njit(cache=True)
-def reactions(rows, dt, gravity, nodes, components, values):
+def reactions(rows, dt, gravity, places, components, values, counted):
     """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
 
     Supported nodes are not damped: the reaction to a body at rest is its weight.
+
+    Args:
+        rows: ``(n_tiles, nodes, 8)``.
+        dt: time step [s].
+        gravity: ``(3,)`` [m/s^2].
+        places: ``(n,)`` rows of the nodes, counted through.
+        components: ``(n,)`` 0, 1 or 2.
+        values: ``(n,)`` [m/s].
+        counted: ``(n_tiles,)`` whether this rank is the one that counts a tile.
     """
-    total = np.zeros(3)
-    for i in range(len(nodes)):
-        n, k = nodes[i], components[i]
-        m = rows[n, 0]
-        total[k] += (m * values[i] - rows[n, 1 + k]) / dt - rows[n, 5 + k] - m * gravity[k]
+    total, flat = np.zeros(3), rows.reshape(-1, LANES)
+    for i in range(len(places)):
+        n, k = places[i], components[i]
+        if counted[n // rows.shape[1]]:
+            m = flat[n, MASS]
+            force = (m * values[i] - flat[n, MOMENTUM + k]) / dt - flat[n, FORCE + k]
+            total[k] += force - m * gravity[k]
     return total
 
 
 @numba.njit(cache=True)
-def constrain(rows, nodes, components, values):
+def constrain(rows, places, components, values):
     """Prescribe velocities of updated nodes."""
-    for i in range(len(nodes)):
-        n, k = nodes[i], components[i]
-        rows[n, 5 + k] += values[i] - rows[n, 1 + k]
-        rows[n, 1 + k] = values[i]
+    flat = rows.reshape(-1, LANES)
+    for i in range(len(places)):
+        n, k = places[i], components[i]
+        flat[n, INCREMENT + k] += values[i] - flat[n, VELOCITY + k]
+        flat[n, VELOCITY + k] = values[i]
 
 
 @numba.njit(cache=True, parallel=True)
-def average_nodes(rows, sums, lines):
-    """Volume-averaged J at the nodes (F-bar, eq. 19) from its sums, in lines ``(nodes, 4)``.
+def average_nodes(rows, sums):
+    """Volume-averaged J at the nodes (F-bar, eq. 19) in place of its sums ``(n_tiles, nodes, 1)``.
 
-    The rows ``(threads, nodes, 8)`` are cleared for the next step.
+    The rows ``(n_tiles, nodes, 8)`` are cleared for the next step.
     """
-    for n in numba.prange(len(sums)):
-        prefetch(rows[0], n + _AHEAD)
-        volume = rows[0, n, 4]
-        # nodes at the edge of a point's support may have neither volume nor J
-        sums[n] = sums[n] / volume if volume > 0.0 else 0.0
-        for t in range(rows.shape[0]):
+    for tile in numba.prange(len(rows)):
+        for n in range(rows.shape[1]):
+            volume = rows[tile, n, VOLUME]
+            # nodes at the edge of a point's support may have neither volume nor J
+            sums[tile, n, 0] = sums[tile, n, 0] / volume if volume > 0.0 else 0.0
             for i in range(LANES):
-                rows[t, n, i] = 0.0
-    last = len(sums) - 1
-    for n in numba.prange(len(sums)):
-        for c in range(LINE_LANES):
-            lines[n, c] = sums[min(n + c, last)]
+                rows[tile, n, i] = 0.0

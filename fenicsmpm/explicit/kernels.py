@@ -7,9 +7,10 @@ is ``scatter``. So in between no stress goes to memory, which is what limits the
 is compiled for a dimension, a basis and a material, in which it is inlined. In the plane, the third
 direction has one node.
 
-A row of the grid holds, of a node, ``(m, m v_x, m v_y, m v_z, V, f_x, f_y, f_z)`` before its
-update and ``(m, v_x, v_y, v_z, V, dv_x, dv_y, dv_z)`` after it, with the increments dv of velocity.
-Averages of J have a line of four numbers a node: of the node itself and of those after it.
+A row of the grid holds, of a node, mass, momentum, volume and internal force before its update, and
+mass, velocity, volume and the increment of velocity after it (columns in
+`fenicsmpm.explicit.grid`). Points of a tile see its nodes in a window
+(`fenicsmpm.explicit.windows`).
 
 References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit material
 point methods" (F-bar).
@@ -28,13 +29,18 @@ import numba
 import numpy as np
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
+from fenicsmpm.explicit.grid import FORCE, INCREMENT, MASS, MOMENTUM, VELOCITY, VOLUME
+from fenicsmpm.explicit.stencils import OPTIONS, stencils
 from fenicsmpm.explicit.stresses import stresses
+from fenicsmpm.explicit.tiles import ON_WALL, window
+from fenicsmpm.explicit.windows import SPARE, scratch_rows, windows
 from fenicsmpm.lanes import (
     LANES,
     LINE_LANES,
     add_scaled,
     between,
+    choose,
+    line_at,
     load,
     load_column,
     load_line,
@@ -82,8 +88,10 @@ def transfers(
         rates: the material needs the velocity gradient.
         is_fluid: of the deformation, only J is kept.
     """
-    width, fill = WIDTH[kind], stencils(dim, kind)
+    width, fill = WIDTH[kind], stencils(dim, kind, in_window=True)
     depth = width if dim == 3 else 1
+    copies, shape = windows(dim, width), window(dim, width)
+    far, near, count = shape.far, shape.near, shape.count
     set_stress = stresses(update, update_eight, n_state, rates)
 
     @_inline
@@ -131,16 +139,16 @@ def transfers(
         row ``first`` on. Each line is in memory before it is loaded: faster than in registers.
         """
         m = load(body.mass, block)
-        store_column(lines, 0, LANES, m)
-        store_column(lines, 4, LANES, V)
+        store_column(lines, MASS, LANES, m)
+        store_column(lines, VOLUME, LANES, V)
         for k in range(dim):
-            store_column(lines, 1 + k, LANES, m * load(body.v, block * dim + k))
+            store_column(lines, MOMENTUM + k, LANES, m * load(body.v, block * dim + k))
             for j in range(dim):
                 force = -V * load(s, first + 3 * j + k)
-                store_column(lines, (1 + k) * _LINES + 5 + j, LANES, force)
+                store_column(lines, (1 + k) * _LINES + FORCE + j, LANES, force)
 
     @_inline
-    def add_to_nodes(i, base, far, near, w, d, lines, rows):
+    def add_to_nodes(i, base, w, d, lines, rows):
         """Add the i-th point of a block to its nodes."""
         value, by_x, by_y = load(lines, i), load(lines, LANES + i), load(lines, 2 * LANES + i)
         by_z = load(lines, 3 * LANES + i)
@@ -165,21 +173,24 @@ def transfers(
                         store(rows, node + c, add_scaled(total, d_c, z_b))
 
     @_njit
-    def scatter(first, last, nodes, half, body, sigma, rows):
+    def scatter(chunk, units, nodes, half, body, sigma, rows):
         """Points with known stresses (3, 3) to the nodes."""
         base = np.empty(LANES, np.int64)
-        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
-        lines = np.zeros((4 * LANES, LANES))
-        far, near = strides(nodes)
-        for block in range(first, last):
-            fill(body.x, block, nodes, half, base, w, d)
-            V = determinant(body.F, block * dim * dim) * load(body.V_0, block)
-            pack(block, body, V, sigma, 9 * block, lines)
-            for i in range(LANES):
-                add_to_nodes(i, base, far, near, w, d, lines, rows)
+        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+        lines, scratch = scratch_rows(4 * LANES, LANES), scratch_rows(count, LANES)
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+            copies.clear_rows(scratch)
+            lower = units.lower[unit]
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                fill(body.x, block, nodes, half, lower, base, w, d)
+                V = determinant(body.F, block * dim * dim) * load(body.V_0, block)
+                pack(block, body, V, sigma, 9 * block, lines)
+                for i in range(LANES):
+                    add_to_nodes(i, base, w, d, lines, scratch)
+            copies.add_rows(unit, units.target, scratch, rows)
 
     @_inline
-    def from_nodes(i, base, far, near, w, d, rows, lines):
+    def from_nodes(i, base, w, d, rows, lines):
         """Values and slopes of all that nodes have, at the i-th point of a block."""
         value, by_x, by_y, by_z = zeros(), zeros(), zeros(), zeros()
         for a in range(width):
@@ -216,94 +227,109 @@ def transfers(
         store_line(lines, node, add_scaled(load_line(lines, node), factor, line))
 
     @_njit
-    def gather(first, last, nodes, half, body, rows, dt, flip, average, r, s, averages):
+    def gather(chunk, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found):
         """Velocity, next position and F of points; J goes back to the nodes to be averaged.
 
-        Returns:
-            A block with a point that is inverted, not finite or outside of the lattice; or -1.
+        Found are a block with a point that is inverted, not finite or outside of the lattice, or
+        -1; and whether a point has left its window.
         """
         base = np.empty(LANES, np.int64)
-        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
-        f, shares, lines = np.empty((9, LANES)), np.empty((1, LANES)), np.empty((4 * LANES, LANES))
-        last_w = np.zeros((LANES, LINE_LANES))
-        far, near = strides(nodes)
-        bad = np.int64(-1)
-        for block in range(first, last):
-            fetch(body, block + _AHEAD)
-            fill(body.x, block, nodes, half, base, w, d)
-            for i in range(LANES):
-                from_nodes(i, base, far, near, w, d, rows, lines)
-            vector, tensor = block * dim, block * dim * dim
-            good = True
-            for j in range(dim):
-                # eqs. 11-13 and 17
-                velocity = load_column(lines, 1 + j, LANES)
-                increment = load_column(lines, 5 + j, LANES)
-                x_next = load(body.x, vector + j) + dt * velocity
-                in_flip = load(body.v, vector + j) + increment
-                v_next = flip * in_flip + (1.0 - flip) * velocity
-                store(body.x_next, vector + j, x_next)
-                store(body.v, vector + j, v_next)
-                t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
-                good &= between(t, 0, nodes.shape[j] - 1) and between(v_next, -_HUGE, _HUGE)
-            # eq. 16
-            for k in range(dim):
-                for j in range(dim):
-                    rate = load_column(lines, (1 + k) * _LINES + 1 + j, LANES)
-                    if rates:
-                        store(body.L, tensor + j * dim + k, rate)
-                    store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
-            J_old, dJ = determinant(body.F, tensor), determinant(f, 0)
-            shrink = 1.0 + zeros()
-            if average and s > 0.0:
-                J_star = J_old + min(s * strain(f), 1.0) * (load(body.J_bar, block) - J_old)
-                shrink = root(J_star / J_old)
-                J_old = J_star
-            # eq. 14
-            for k in range(dim):
-                F_0, F_1 = load(body.F, tensor + k), load(body.F, tensor + dim + k)
-                F_2 = load(body.F, tensor + 2 * dim + k) if dim == 3 else F_0
-                for j in range(dim):
-                    new = load(f, j * dim) * F_0 + load(f, j * dim + 1) * F_1
-                    if dim == 3:
-                        new += load(f, j * dim + 2) * F_2
-                    store(body.F, tensor + j * dim + k, shrink * new)
-            J = dJ * J_old
-            good &= between(J, _TINY, _HUGE)
-            if not good:
-                bad = block
+        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+        f, shares, lines = scratch_rows(9, LANES), scratch_rows(1, LANES), scratch_rows(4 * LANES, LANES)
+        last_w = scratch_rows(LANES, LINE_LANES)
+        scratch, work = scratch_rows(count, LANES), np.empty(count)
+        averages = scratch_rows(count + SPARE, LINE_LANES)
+        before = LINE_LANES - 1
+        found[0], stays = -1, True
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+            copies.load_rows(unit, units.source, rows, scratch)
             if average:
-                # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
-                share = J * ((1.0 - r) * load(body.J_bar, block) + r * J_old)
-                store(shares, 0, load(body.V_0, block) * share)
-                for c in range(width):
-                    store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
+                copies.clear_lines(averages)
+            lower = units.lower[unit]
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                fetch(body, block + _AHEAD)
+                fill(body.x, block, nodes, half, lower, base, w, d)
                 for i in range(LANES):
-                    weights = load_line(last_w, i)
-                    for a in range(width):
-                        share_a = shares[0, i] * number_at(w, a * LANES + i)
-                        if dim == 2:
-                            add_line(averages, base[i] + a * far, share_a, weights)
-                        else:
-                            for b in range(width):
-                                share_b = share_a * number_at(w, (width + b) * LANES + i)
-                                add_line(averages, base[i] + a * far + b * near, share_b, weights)
-        return bad
+                    from_nodes(i, base, w, d, scratch, lines)
+                vector, tensor = block * dim, block * dim * dim
+                good = True
+                for j in range(dim):
+                    # eqs. 11-13 and 17
+                    velocity = load_column(lines, VELOCITY + j, LANES)
+                    increment = load_column(lines, INCREMENT + j, LANES)
+                    x_next = load(body.x, vector + j) + dt * velocity
+                    t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
+                    cells = nodes.shape[j] - 1
+                    good &= between(t, -ON_WALL, cells + ON_WALL)
+                    stays &= between(t, units.t_low[unit, j], units.t_high[unit, j])
+                    x_next = choose(ON_WALL - t, nodes.origin[j], x_next)
+                    x_next = choose(t - (cells - ON_WALL), nodes.upper[j], x_next)
+                    in_flip = load(body.v, vector + j) + increment
+                    v_next = flip * in_flip + (1.0 - flip) * velocity
+                    store(body.x_next, vector + j, x_next)
+                    store(body.v, vector + j, v_next)
+                    good &= between(v_next, -_HUGE, _HUGE)
+                # eq. 16
+                for k in range(dim):
+                    for j in range(dim):
+                        rate = load_column(lines, (1 + k) * _LINES + VELOCITY + j, LANES)
+                        if rates:
+                            store(body.L, tensor + j * dim + k, rate)
+                        store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
+                J_old, dJ = determinant(body.F, tensor), determinant(f, 0)
+                shrink = 1.0 + zeros()
+                if average and s > 0.0:
+                    J_star = J_old + min(s * strain(f), 1.0) * (load(body.J_bar, block) - J_old)
+                    shrink = root(J_star / J_old)
+                    J_old = J_star
+                # eq. 14
+                for k in range(dim):
+                    F_0, F_1 = load(body.F, tensor + k), load(body.F, tensor + dim + k)
+                    F_2 = load(body.F, tensor + 2 * dim + k) if dim == 3 else F_0
+                    for j in range(dim):
+                        new = load(f, j * dim) * F_0 + load(f, j * dim + 1) * F_1
+                        if dim == 3:
+                            new += load(f, j * dim + 2) * F_2
+                        store(body.F, tensor + j * dim + k, shrink * new)
+                J = dJ * J_old
+                good &= between(J, _TINY, _HUGE)
+                if not good:
+                    found[0] = block
+                if average:
+                    # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
+                    share = J * ((1.0 - r) * load(body.J_bar, block) + r * J_old)
+                    store(shares, 0, load(body.V_0, block) * share)
+                    for c in range(width):
+                        store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
+                    for i in range(LANES):
+                        weights = load_line(last_w, i)
+                        for a in range(width):
+                            share_a = shares[0, i] * number_at(w, a * LANES + i)
+                            if dim == 2:
+                                add_line(averages, base[i] + a * far + before, share_a, weights)
+                            else:
+                                for b in range(width):
+                                    share_b = share_a * number_at(w, (width + b) * LANES + i)
+                                    place = base[i] + a * far + b * near + before
+                                    add_line(averages, place, share_b, weights)
+            if average:
+                copies.add_lines(unit, units.target, averages, work, sums)
+        found[1] = 0 if stays else 1
 
     @_inline
-    def means(base, far, near, w, averages, lines):
+    def means(base, w, averages, lines):
         """Averaged J at the points of a block."""
         for i in range(LANES):
             total = zero_line()
             for a in range(width):
                 w_a = number_at(w, a * LANES + i)
                 if dim == 2:
-                    total = add_scaled(total, w_a, load_line(averages, base[i] + a * far))
+                    total = add_scaled(total, w_a, line_at(averages, base[i] + a * far))
                 else:
                     for b in range(width):
                         w_b = w_a * number_at(w, (width + b) * LANES + i)
                         node = base[i] + a * far + b * near
-                        total = add_scaled(total, w_b, load_line(averages, node))
+                        total = add_scaled(total, w_b, line_at(averages, node))
             store_line(lines, i, total)
         total = zeros()
         for c in range(width):
@@ -311,70 +337,72 @@ def transfers(
         return total
 
     @_njit
-    def finish(first, last, nodes, half, body, average, averages, again, sigma, rows):
+    def finish(chunk, units, nodes, half, body, average, averages, again, sigma, rows):
         """Stresses by the averaged J: to the nodes for the next step, or at last to ``sigma``."""
         base = np.empty(LANES, np.int64)
-        w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
-        F_bar, rate, stress = np.zeros((9, LANES)), np.zeros((9, LANES)), np.zeros((9, LANES))
+        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+        F_bar, rate, stress = scratch_rows(9, LANES), scratch_rows(9, LANES), scratch_rows(9, LANES)
         work, state_i = np.zeros((3, 3, 3)), np.empty(n_state)
         F_bar[8] = 1.0
-        lines, average_lines = np.zeros((4 * LANES, LANES)), np.empty((LANES, LINE_LANES))
-        far, near = strides(nodes)
-        for block in range(first, last):
-            fetch(body, block + _AHEAD)
-            tensor = block * dim * dim
-            J = determinant(body.F, tensor)
-            scale = 1.0 + zeros()
+        lines, average_lines = scratch_rows(4 * LANES, LANES), scratch_rows(LANES, LINE_LANES)
+        scratch, means_of = scratch_rows(count, LANES), np.zeros(count + SPARE)
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
             if average:
-                fill(body.x, block, nodes, half, base, w, d)
-                J_bar = means(base, far, near, w, averages, average_lines)
-                scale = root(J_bar / J)  # eq. 18
-            else:
-                J_bar = J
-            store(body.J_bar, block, J_bar)
-            if is_fluid:
-                stretch = root(J)
+                copies.load_averages(unit, units.body_source, averages, means_of)
+            if again:
+                copies.clear_rows(scratch)
+            lower = units.lower[unit]
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                fetch(body, block + _AHEAD)
+                tensor = block * dim * dim
+                J = determinant(body.F, tensor)
+                scale = 1.0 + zeros()
+                if average:
+                    fill(body.x, block, nodes, half, lower, base, w, d)
+                    J_bar = means(base, w, means_of, average_lines)
+                    scale = root(J_bar / J)  # eq. 18
+                else:
+                    J_bar = J
+                store(body.J_bar, block, J_bar)
+                if is_fluid:
+                    stretch = root(J)
+                    for j in range(dim):
+                        for k in range(dim):
+                            store(body.F, tensor + j * dim + k, stretch if j == k else zeros())
                 for j in range(dim):
                     for k in range(dim):
-                        store(body.F, tensor + j * dim + k, stretch if j == k else zeros())
-            for j in range(dim):
-                for k in range(dim):
-                    store(F_bar, 3 * j + k, scale * load(body.F, tensor + j * dim + k))
-                    if rates:
-                        store(rate, 3 * j + k, load(body.L, tensor + j * dim + k))
-            set_stress(block, F_bar, rate, body.parameters, body.state, work, state_i, stress)
+                        store(F_bar, 3 * j + k, scale * load(body.F, tensor + j * dim + k))
+                        if rates:
+                            store(rate, 3 * j + k, load(body.L, tensor + j * dim + k))
+                set_stress(block, F_bar, rate, body.parameters, body.state, work, state_i, stress)
+                if again:
+                    pack(block, body, J * load(body.V_0, block), stress, 0, lines)
+                    fill(body.x_next, block, nodes, half, lower, base, w, d)
+                    for i in range(LANES):
+                        add_to_nodes(i, base, w, d, lines, scratch)
+                else:
+                    for k in range(9):
+                        store(sigma, 9 * block + k, load(stress, k))
             if again:
-                pack(block, body, J * load(body.V_0, block), stress, 0, lines)
-                fill(body.x_next, block, nodes, half, base, w, d)
-                for i in range(LANES):
-                    add_to_nodes(i, base, far, near, w, d, lines, rows)
-            else:
-                for k in range(9):
-                    store(sigma, 9 * block + k, load(stress, k))
-
-    # points of a thread are a range of them: sorted by cell, they share most of their nodes
+                copies.add_rows(unit, units.target, scratch, rows)
 
     @_parallel
-    def scatter_all(ranges, nodes, half, body, sigma, rows):
-        for t in numba.prange(len(ranges) - 1):
-            scatter(ranges[t], ranges[t + 1], nodes, half, body, sigma, rows[t])
+    def scatter_all(units, nodes, half, body, sigma, rows):
+        for t in numba.prange(len(units.chunks) - 1):
+            scatter(t, units, nodes, half, body, sigma, rows)
 
     @_parallel
-    def gather_all(ranges, nodes, half, body, rows, dt, flip, average, r, s, averages):
-        bad = np.empty(len(ranges) - 1, dtype=np.int64)
-        for t in numba.prange(len(ranges) - 1):
-            bad[t] = gather(
-                ranges[t], ranges[t + 1], nodes, half, body, rows, dt, flip, average, r, s,
-                averages[t],
+    def gather_all(units, nodes, half, body, rows, dt, flip, average, r, s, sums):
+        found = np.empty((len(units.chunks) - 1, 2), dtype=np.int64)
+        for t in numba.prange(len(units.chunks) - 1):
+            gather(
+                t, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found[t]
             )  # fmt: skip
-        return bad.max()
+        return found[:, 0].max(), found[:, 1].max() > 0
 
     @_parallel
-    def finish_all(ranges, nodes, half, body, average, averages, again, sigma, rows):
-        for t in numba.prange(len(ranges) - 1):
-            finish(
-                ranges[t], ranges[t + 1], nodes, half, body, average, averages, again, sigma,
-                rows[t],
-            )  # fmt: skip
+    def finish_all(units, nodes, half, body, average, averages, again, sigma, rows):
+        for t in numba.prange(len(units.chunks) - 1):
+            finish(t, units, nodes, half, body, average, averages, again, sigma, rows)
 
     return Kernels(scatter_all, gather_all, finish_all)

@@ -11,16 +11,32 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.basis.lattice import lattice_of
-from fenicsmpm.basis.lines import GIMP
+from fenicsmpm.basis.lines import GIMP, WIDTH
 from fenicsmpm.explicit import grid
 from fenicsmpm.explicit.body import Body
 from fenicsmpm.explicit.carriers import carriers
 from fenicsmpm.explicit.contact import RigidBox, contact
-from fenicsmpm.explicit.grid import Nodes
-from fenicsmpm.explicit.kernels import transfers
-from fenicsmpm.explicit.stencils import in_blocks, out_of_blocks
 from fenicsmpm.formulations.fbar import FBar
-from fenicsmpm.lanes import LANES, LINE_LANES
+from fenicsmpm.explicit.kernels import transfers
+from fenicsmpm.explicit.sharing import Sharing, Sums
+from fenicsmpm.explicit.stencils import empty_rows, in_blocks, out_of_blocks, plain_order
+from fenicsmpm.explicit.tiles import (
+    MARGIN,
+    ON_WALL,
+    Integers,
+    Layout,
+    Nodes,
+    Units,
+    around,
+    chunks_of,
+    fill_blocks,
+    lay,
+    limits,
+    reaches,
+    sort_keys,
+    targets,
+)
+from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 
@@ -43,8 +59,7 @@ class Part:
         nodes: of the lattice.
 
     Attributes:
-        rows: ``(threads, nodes, 8)``, what its points give to the nodes; rows of threads are summed
-            up in the first.
+        rows: ``(n_tiles, nodes of a tile, 8)``, what its points give to the nodes.
 
     Raises:
         ValueError: for points that miss fields, or have those of another law.
@@ -67,7 +82,7 @@ class Part:
             )
         dim = points.mesh.geometry.dim
         self.points, self._law, self._fbar = points, law, fbar
-        self._dim, self._rates = dim, law.needs_rate
+        self._dim, self._rates, self._kind = dim, law.needs_rate, kind
         self._kernels = transfers(
             dim,
             kind,
@@ -79,14 +94,112 @@ class Part:
         )
         self._contact = contact(dim, kind)
         self._half = half_size(points, kind)
-        self._nodes, threads = nodes, numba.get_num_threads()
-        self.rows = grid.empty_rows(threads, nodes.size, LANES)
-        averaged = 0 if fbar is None else nodes.size
-        self._averages = grid.empty_rows(threads, averaged, LINE_LANES)
-        self._sums = np.zeros(averaged)
+        self._nodes = nodes
+        self._body: Body | None = None
+        self._sum_volumes: Sums | None = None
+        self._sum_averages: Sums | None = None
+
+    # --- where the points are ----------------------------------------------------------------
+
+    def sort(self) -> tuple[Integers, Integers]:
+        """Sort the points, or their working arrays, by tile.
+
+        Returns:
+            First and last nodes ``(n_units, 3)`` that points of each tile may see.
+        """
+        points, nodes, width = self.points, self._nodes, WIDTH[self._kind]
+        n, d = len(points), self._dim
+        x = points.x if self._body is None else out_of_blocks(self._body.x, self._order, n, (d,))
+        keys, self._occupied = sort_keys(np.ascontiguousarray(x), nodes, width)
+        del x
+        order, self._blocks = fill_blocks(keys, nodes.per_tile, len(self._occupied))
+        self._low, self._high = reaches(keys, nodes, self._occupied, width, MARGIN[d])
+        del keys
+        if self._body is not None:
+            self._reorder(order)
+        self._order = order
+        return self._low, self._high + width - 1
+
+    def _reorder(self, order: npt.NDArray[np.int32]) -> None:
+        """Bring the working arrays into another order."""
+        old, n = self._working._asdict(), len(self.points)
+        self._body = None
+        for name, rows in old.items():
+            if name not in ("parameters", "x_next") and len(rows):
+                shape = (LANES * len(rows) // len(self._order),)
+                values = out_of_blocks(rows, self._order, n, shape)
+                old[name] = rows = None
+                old[name] = in_blocks(values, order, copied=name not in ("mass", "V_0"))
+        old["x_next"] = np.empty_like(old["x"])
+        sigma = out_of_blocks(self._sigma, self._order, n, (9,))
+        self._sigma = in_blocks(sigma, order)
+        self._body = Body(**old)
+
+    def settle_down(self, everything: Layout, shared: Sharing, own: bool) -> Layout:
+        """Take the tiles that the points need, after ``sort`` (collective).
+
+        Args:
+            everything: tiles of all bodies and loads.
+            shared: who has them.
+            own: whether to have a layout of its own, because there are other bodies.
+
+        Returns:
+            The body's tiles.
+        """
+        nodes, width, comm = self._nodes, WIDTH[self._kind], self.points.mesh.comm
+        layout = lay(self._low, self._high + width - 1, nodes) if own else everything
+        sharing = Sharing(comm, layout) if own else shared
+        tiles = np.ravel_multi_index(tuple(self._occupied.T), tuple(nodes.tiles))
+        units = np.searchsorted(layout.ids, tiles)
+        chunks = chunks_of(self._blocks, numba.get_num_threads())
+        target, self._copies = targets(
+            units, self._low, self._high, layout, nodes, width, chunks
+        )
+        t_low, t_high = limits(self._low, self._high, nodes, self._kind)
+        margin = np.zeros(3)
+        margin[: self._dim] = MARGIN[self._dim]
+        self._units = Units(
+            chunks=chunks,
+            blocks=self._blocks,
+            lower=self._occupied * nodes.side - margin,
+            t_low=t_low,
+            t_high=t_high,
+            source=everything.neighbours[np.searchsorted(everything.ids, tiles)],
+            body_source=layout.neighbours[units],
+            target=target,
+        )
+        self._ids, self._n_tiles = layout.ids, len(layout.ids)
+        everywhere = self._n_tiles + len(self._copies)
+        self._all_rows = grid.tile_rows(everywhere, nodes.per_tile)
+        self.rows = self._all_rows[: self._n_tiles]
+        averaged = 0 if self._fbar is None else everywhere
+        self._all_sums = np.zeros((averaged, nodes.per_tile, 1))
+        self._sums = self._all_sums[: self._n_tiles]
+        self.free()
+        if self._fbar is not None:
+            self._sum_volumes = Sums(sharing, nodes.per_tile, [grid.VOLUME])
+            self._sum_averages = Sums(sharing, nodes.per_tile, [0])
+        return layout
+
+    def drop(self) -> None:
+        """Forget the working arrays of a block that has failed."""
+        self._body, self._sigma = None, np.empty((0, LANES))
+
+    @property
+    def averages(self) -> Array:
+        """Averaged J ``(n_tiles, nodes, 1)``; of no tiles if none are taken."""
+        return self._sums
+
+    def free(self) -> None:
+        """Give back what MPI keeps for the block."""
+        for sums in (self._sum_volumes, self._sum_averages):
+            if sums is not None:
+                sums.free()
+
+    # --- steps -------------------------------------------------------------------------------
 
     def begin(self, law: Law) -> None:
-        """Take working copies of what steps change, and add the points to the nodes.
+        """Take working copies of what steps change, in the order of ``sort``.
 
         The points stay as they are.
 
@@ -95,33 +208,33 @@ class Part:
         """
         if law.update is not self._law.update:
             raise ValueError(f"a body's law may change its parameters only: {law}")
-        points, d = self.points, self._dim
+        points, d, order = self.points, self._dim, self._order
         n = len(points)
-        somewhere = points.x[-1] if n else 0.0
         # the largest first, since blocks are made by way of copies
-        F = in_blocks(points["F"][:, :d, :d], np.eye(d))
-        x = in_blocks(points.x, somewhere)
-        mass = in_blocks(points["mass"])
+        F = in_blocks(points["F"][:, :d, :d], order)
+        x = in_blocks(points.x, order)
         state = [points[k].reshape(n, math.prod(shape)) for k, (shape, _) in law.state.items()]
-        self._body: Body | None = Body(
+        self._body = Body(
             x=x,
             x_next=np.empty_like(x),
-            v=in_blocks(points["v"]),
+            v=in_blocks(points["v"], order),
             F=F,
-            J_bar=in_blocks(points["J_bar"], 1.0),
-            mass=mass,
-            V_0=in_blocks(points["V_0"]),
-            state=in_blocks(np.hstack([np.empty((n, 0)), *state]), law.initial_state(1)[0]),
+            J_bar=in_blocks(points["J_bar"], order),
+            mass=in_blocks(points["mass"], order, copied=False),
+            V_0=in_blocks(points["V_0"], order, copied=False),
+            state=in_blocks(np.hstack([np.empty((n, 0)), *state]), order),
             L=np.zeros_like(F) if self._rates else np.empty((0, LANES)),
             parameters=np.asarray(law.parameters),
         )
-        self._sigma = np.empty((0, LANES))
-        self._ranges = np.linspace(0, len(mass), len(self.rows) + 1).astype(np.int64)
-        grid.clear(self.rows)
-        sigma = in_blocks(points["sigma"])
+        self._sigma = in_blocks(points["sigma"], order)
+
+    def scatter(self) -> None:
+        """Add the points with the stresses that are known to the nodes."""
         self._kernels.scatter(
-            self._ranges, self._nodes, self._half, self._working, sigma, self.rows
+            self._units, self._nodes, self._half, self._working, self._sigma, _flat(self._all_rows)
         )
+        self._sigma = np.empty((0, LANES))
+        grid.merge(self._all_rows, self._copies)
 
     @property
     def _working(self) -> Body:
@@ -137,60 +250,61 @@ class Part:
         """
         body = self._working
         force, bad = self._contact.push(
-            self._nodes, self._half, body.x, body.v, body.mass, box.lower, box.upper, velocity,
-            box.reach, box.stiffness, box.friction, dt, self.rows[0],
+            self._nodes, self._ids, self._half, body.x, body.v, body.mass, box.lower, box.upper,
+            velocity, box.reach, box.stiffness, box.friction, dt, _flat(self.rows),
         )  # fmt: skip
         return force, bad
 
-    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> tuple[Array, int]:
+    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> tuple[Array, int, bool]:
         """Keep points out of a box.
 
         Returns:
-            The force that this took ``(d,)`` [N], and a block with a point that has left the
-            lattice by this; or -1.
+            The force that this took ``(d,)`` [N]; a block with a point that has left the lattice
+            by this, or -1; and whether a point has left its window.
         """
         body = self._working
-        force, bad = self._contact.hold_back(
-            self._nodes, body.x_next, body.v, body.mass, box.lower, box.upper, velocity,
-            box.reach, dt,
+        force, bad, strays = self._contact.hold_back(
+            self._nodes, self._units, body.x_next, body.v, body.mass, box.lower, box.upper,
+            velocity, box.reach, dt,
         )  # fmt: skip
-        return force, bad
+        return force, bad, strays
 
-    def gather(self, rows: Array, dt: float, flip: float) -> int:
+    def gather(self, rows: Array, dt: float, flip: float) -> tuple[int, bool]:
         """Velocities, positions and F from the nodes of all bodies, and J to its own.
 
         Returns:
-            A block with a point that is inverted, not finite or outside; or -1.
+            A block with a point that is inverted, not finite or outside, or -1; and whether a point
+            has left its window.
         """
-        average = self._fbar is not None
         r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
-        if average:
-            grid.clear(self._averages)
-        return int(
-            self._kernels.gather(
-                self._ranges, self._nodes, self._half, self._working, rows, dt, flip, average, r,
-                s, self._averages,
-            )
+        self._all_sums[:] = 0.0
+        bad, strays = self._kernels.gather(
+            self._units, self._nodes, self._half, self._working, _flat(rows), dt, flip,
+            self._fbar is not None, r, s, self._all_sums.ravel(),
         )  # fmt: skip
+        return int(bad), bool(strays)
 
-    def average(self, add_ranks: Callable[[Array], None]) -> None:
-        """Average J at the nodes, and clear the rows for the next step."""
-        if self._fbar is None:
+    def average(self) -> None:
+        """Average J at the nodes, and clear the rows for the next step (collective)."""
+        if self._sum_volumes is None or self._sum_averages is None:
             grid.clear(self.rows)
             return
-        grid.sum_averages(self._averages, self._sums)
-        add_ranks(self._sums)
-        grid.average_nodes(self.rows, self._sums, self._averages[0])
+        grid.merge(self._all_sums, self._copies)
+        self._sum_volumes.add(self.rows)
+        self._sum_averages.add(self._sums)
+        grid.average_nodes(self.rows, self._sums)
 
     def finish(self, again: bool) -> None:
         """Stresses and new positions; if ``again``, add the points to the nodes."""
         body, average = self._working, self._fbar is not None
         if not again:
-            self._sigma = np.empty((9 * len(body.mass), LANES))
+            self._sigma = empty_rows(9 * len(body.mass), LANES)
         self._kernels.finish(
-            self._ranges, self._nodes, self._half, body, average, self._averages[0], again,
-            self._sigma, self.rows,
+            self._units, self._nodes, self._half, body, average, self._all_sums.ravel(), again,
+            self._sigma, _flat(self._all_rows),
         )  # fmt: skip
+        if again:
+            grid.merge(self._all_rows, self._copies)
         self._body = body._replace(x=body.x_next, x_next=body.x)
 
     def bad_stress(self) -> int:
@@ -203,48 +317,52 @@ class Part:
 
         If ``sort``, points with the same nodes come to stand one after the other.
         """
-        points, d, n = self.points, self._dim, len(self.points)
+        points, d, n, order = self.points, self._dim, len(self.points), self._order
         # one after the other, each working array gone before the next: this is where memory peaks
         body, self._body = self._working._asdict(), None
+        self.free()
+        self.rows = self._all_rows = self._all_sums = self._sums = np.empty((0, 0, LANES))
         del body["x_next"], body["L"], body["mass"], body["V_0"]
-        points.assign({"v": out_of_blocks(body.pop("v"), n, (d,))})
-        points.assign({"J_bar": out_of_blocks(body.pop("J_bar"), n)})
+        points.assign({"v": out_of_blocks(body.pop("v"), order, n, (d,))})
+        points.assign({"J_bar": out_of_blocks(body.pop("J_bar"), order, n)})
         if self._law.state:
-            state = out_of_blocks(body.pop("state"), n, (self._law.n_state,))
+            state = out_of_blocks(body.pop("state"), order, n, (self._law.n_state,))
             points.assign({k: self._law.state_field(state, k).copy() for k in self._law.state})
             del state
-        points.assign({"sigma": out_of_blocks(self._sigma, n, (3, 3))})
+        points.assign({"sigma": out_of_blocks(self._sigma, order, n, (3, 3))})
         self._sigma = np.empty((0, LANES))
-        F = out_of_blocks(body.pop("F"), n, (d, d))
+        F = out_of_blocks(body.pop("F"), order, n, (d, d))
         if d == 2:
             F = np.pad(F, ((0, 0), (0, 1), (0, 1)))
             F[:, 2, 2] = 1.0
         J = determinants(F)
         points.assign({"F": F, "J": J, "weight": J * points["V_0"]})
-        x = out_of_blocks(body.pop("x"), n, (d,))
+        x = out_of_blocks(body.pop("x"), order, n, (d,))
         points.assign({"u": points["u"] + (x - points.x)})
         points.move(x)
         if sort:
-            points.sort(self._nodes.nearest(points.x))
+            width = WIDTH[self._kind]
+            points.sort(sort_keys(np.ascontiguousarray(points.x), self._nodes, width)[0])
 
     def describe(self, block: int) -> str:
         """What is wrong with a point of a block, and where it is."""
         d, body, nodes = self._dim, self._working, self._nodes
-        first = block * LANES
-        ids = self.points.id[first : first + LANES]
+        of_block = self._order[block * LANES : (block + 1) * LANES]
+        of_block = of_block[of_block >= 0]
+        ids, one = self.points.id[of_block], plain_order(len(of_block))
         # the last step is over where there are stresses to look at
         over = len(self._sigma) > 0
         x_next = body.x if over else body.x_next
-        x = out_of_blocks(x_next[block * d : (block + 1) * d], len(ids), (d,))
-        F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], len(ids), (d, d))
-        v = out_of_blocks(body.v[block * d : (block + 1) * d], len(ids), (d,))
+        x = out_of_blocks(x_next[block * d : (block + 1) * d], one, len(ids), (d,))
+        F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], one, len(ids), (d, d))
+        v = out_of_blocks(body.v[block * d : (block + 1) * d], one, len(ids), (d,))
         J = np.linalg.det(F) + 0 * v.sum(axis=1)  # no number, if one of both is none
         t = (x - nodes.origin[:d]) * nodes.per_metre[:d]
-        inside = np.all((t >= 0) & (t <= nodes.shape[:d] - 1), axis=1)
+        inside = np.all((t >= -ON_WALL) & (t <= nodes.shape[:d] - 1 + ON_WALL), axis=1)
         good = inside & (J > 0) & np.isfinite(J)
         if over:
             sigma = self._sigma[block * 9 : (block + 1) * 9]
-            good &= np.isfinite(out_of_blocks(sigma, len(ids), (9,))).all(axis=1)
+            good &= np.isfinite(out_of_blocks(sigma, one, len(ids), (9,))).all(axis=1)
         i = int(np.argmin(good))
         where = np.array2string(x[i], precision=6)
         what = (
@@ -278,36 +396,59 @@ class Load:
         if "u" not in points:
             points.add_field("u", (dim,))
         self.points = points
-        self._kernels = carriers(dim, kind)
+        self._kernels, self._kind = carriers(dim, kind), kind
         self._half = half_size(points, kind)
-        self._x = in_blocks(points.x)
+        self._x: Array | None = None
 
     def begin(self) -> None:
         """Take the present positions."""
-        points = self.points
-        self._x = in_blocks(points.x, points.x[-1] if len(points) else 0.0)
+        self._order = plain_order(len(self.points))
+        self._x = in_blocks(self.points.x, self._order)
 
-    def add_forces(self, rows: Array, forces: Array, nodes: Nodes, least_mass: float) -> int:
-        """Add the forces to those of the nodes ``(n, 3)``, of which those with mass count.
+    def find(self, nodes: Nodes) -> tuple[Integers, Integers]:
+        """First and last nodes ``(n, 3)`` that points may see until tiles are laid anew."""
+        width, dim = WIDTH[self._kind], self.points.mesh.geometry.dim
+        low, high = around(self.positions, nodes, width, MARGIN[dim])
+        self._t_low, self._t_high = limits(low, high, nodes, self._kind)
+        return low, high + width - 1
+
+    @property
+    def positions(self) -> Array:
+        """Where the points are, ``(n, d)`` [m]."""
+        assert self._x is not None
+        return out_of_blocks(self._x, self._order, len(self.points), self.points.x.shape[1:])
+
+    def add_forces(
+        self, rows: Array, forces: Array, nodes: Nodes, ids: Integers, least_mass: float
+    ) -> int:
+        """Add the forces to those of the nodes ``(n_tiles, nodes, 3)``, where there is mass.
 
         Returns:
             A point without any mass at its nodes; or -1.
         """
-        force = self.points["force"]
-        return self._kernels.add_forces(nodes, self._half, self._x, force, rows, least_mass, forces)
+        return self._kernels.add_forces(
+            nodes, ids, self._half, self._x, self.points["force"], _flat(rows), least_mass,
+            forces.reshape(-1, 3),
+        )  # fmt: skip
 
-    def follow(self, rows: Array, nodes: Nodes, least_mass: float, dt: float) -> int:
+    def follow(
+        self, rows: Array, nodes: Nodes, ids: Integers, least_mass: float, dt: float
+    ) -> tuple[int, bool]:
         """Move with the updated nodes.
 
         Returns:
-            A point that has left the lattice; or -1.
+            A point that has left the lattice, or -1; and whether one has gone further than tiles
+            are laid.
         """
-        count = len(self.points)
-        return self._kernels.follow(nodes, self._half, self._x, count, rows, least_mass, dt)
+        bad, strays = self._kernels.follow(
+            nodes, ids, self._half, self._x, len(self.points), self._t_low, self._t_high,
+            _flat(rows), least_mass, dt,
+        )  # fmt: skip
+        return int(bad), bool(strays)
 
     def describe(self, point: int, what: str) -> str:
         """Which point it is, and where."""
-        x = out_of_blocks(self._x, len(self.points), self.points.x.shape[1:])[point]
+        x = self.positions[point]
         return (
             f"point {self.points.id[point]} of a load {what} at {np.array2string(x, precision=6)}"
         )
@@ -315,9 +456,14 @@ class Load:
     def settle(self) -> None:
         """Bring cells and displacements up to date (collective)."""
         points = self.points
-        x = out_of_blocks(self._x, len(points), points.x.shape[1:])
+        x = self.positions
         points.assign({"u": points["u"] + (x - points.x)})
         points.move(x)
+
+
+def _flat(tiles: Array) -> Array:
+    """Rows of all tiles, one after the other."""
+    return tiles.reshape(-1, LANES)
 
 
 def half_size(points: MaterialPoints, kind: int) -> Array:

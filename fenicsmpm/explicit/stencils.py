@@ -2,7 +2,8 @@
 """Grid functions at blocks of eight points, for the kernels of explicit steps (numba).
 
 What belongs to the points of a block stands side by side: arrays over points have the shape
-``(n_blocks * components, 8)``, so that formulas act on rows, eight points at once.
+``(n_blocks * components, 8)``, so that formulas act on rows, eight points at once. What fills up
+the last block of a tile are copies of a point, without mass and volume.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -30,7 +31,8 @@ from fenicsmpm.basis.lines import (
     quadratic,
     quadratic_inside,
 )
-from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
+from fenicsmpm.explicit.tiles import ON_WALL, window
+from fenicsmpm.lanes import LANES, between, choose, load, store, store_integers, zeros
 
 # Not cached: numba would not find again what is compiled for functions that were passed to it
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
@@ -38,48 +40,116 @@ OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
 
-def in_blocks(values: npt.NDArray[np.float64], filling: Any = 0.0) -> npt.NDArray[np.float64]:
+@numba.njit(cache=True)
+def plain_order(n):
+    """Order of points, one after the other, in blocks; copies of the last one fill them up."""
+    order = np.empty((n + LANES - 1) // LANES * LANES, np.int32)
+    for i in range(len(order)):
+        order[i] = i if i < n else -n
+    return order
+
+
+@numba.njit(cache=True)
+def _to_blocks(flat, order, rows, copied):
+    components = flat.shape[1]
+    for slot in range(len(order)):
+        p, block, i = order[slot], slot // LANES, slot % LANES
+        for k in range(components):
+            if p >= 0:
+                rows[block * components + k, i] = flat[p, k]
+            else:
+                rows[block * components + k, i] = flat[-1 - p, k] if copied else 0.0
+
+
+@numba.njit(cache=True)
+def _from_blocks(rows, order, flat):
+    components = flat.shape[1]
+    for slot in range(len(order)):
+        p, block, i = order[slot], slot // LANES, slot % LANES
+        if p >= 0:
+            for k in range(components):
+                flat[p, k] = rows[block * components + k, i]
+
+
+def in_blocks(
+    values: npt.NDArray[np.float64], order: npt.NDArray[np.int32], copied: bool = True
+) -> npt.NDArray[np.float64]:
     """Array ``(n, ...)`` over points as one of blocks, ``(n_blocks * components, 8)``.
 
     Args:
         values: at the points.
-        filling: value of the points that fill up the last block, as the shape of a point's.
+        order: ``(8 n_blocks,)`` points of the blocks, ``-1 - p`` for a copy of p.
+        copied: copies have the values of their point; if not, zero.
     """
-    n, full = len(values), len(values) // LANES
     components = math.prod(values.shape[1:])
-    rows = np.empty((-(-n // LANES), components, LANES))
-    flat = values.reshape(n, components)
-    rows[:full] = np.moveaxis(flat[: full * LANES].reshape(full, LANES, components), 1, 2)
-    if n % LANES:
-        rows[full] = np.broadcast_to(filling, values.shape[1:]).reshape(components, 1)
-        rows[full, :, : n % LANES] = flat[full * LANES :].T
-    return rows.reshape(-1, LANES)
+    rows = empty_rows(len(order) // LANES * components, LANES)
+    flat = np.ascontiguousarray(values).reshape(len(values), components)
+    _to_blocks(flat, order, rows, copied)
+    return rows
 
 
 def out_of_blocks(
-    rows: npt.NDArray[np.float64], n: int, shape: tuple[int, ...] = ()
+    rows: npt.NDArray[np.float64],
+    order: npt.NDArray[np.int32],
+    n: int,
+    shape: tuple[int, ...] = (),
 ) -> npt.NDArray[np.float64]:
-    """Values ``(n, *shape)`` at points from an array of blocks."""
-    components = math.prod(shape)
-    points = np.moveaxis(rows.reshape(-1, components, LANES), 2, 1)
-    return points.reshape(-1, *shape)[:n]
+    """Values ``(n, *shape)`` at points from an array of blocks, see ``in_blocks``."""
+    flat = np.empty((n, math.prod(shape)))
+    _from_blocks(rows, order, flat)
+    return flat.reshape(n, *shape)
+
+
+def empty_rows(n: int, lanes: int) -> npt.NDArray[np.float64]:
+    """``(n, lanes)`` without values, each row or line within a cache line."""
+    memory = np.empty(n * lanes + LANES)
+    skip = (-memory.ctypes.data // memory.itemsize) % LANES
+    return memory[skip : skip + n * lanes].reshape(n, lanes)
 
 
 @functools.cache
-def stencils(dim: int, kind: int) -> Any:
+def stencils(dim: int, kind: int, in_window: bool) -> Any:
     """Compile the numba function that finds grid functions at a block of points.
 
     Its arguments are positions ``(n_blocks * d, 8)``, the number of the block, the nodes
-    (``grid.Nodes``), the points' half size in cells, and results: the number of each point's first
-    node ``(8,)``, values and slopes ``(3 * width, 8)``, row ``k * width + a`` for the a-th node in
-    direction k.
+    (``tiles.Nodes``), the points' half size in cells, the first node ``(3,)`` of a window, and
+    results: the place in the window of each point's first node ``(8,)``, values and slopes
+    ``(3 * width, 8)``, row ``k * width + a`` for the a-th node in direction k.
+
+    Args:
+        dim: 2 or 3.
+        kind: of grid functions.
+        in_window: if not, places are numbers of nodes in the lattice, the last direction fastest.
     """
     width = WIDTH[kind]
     inside, anywhere = _functions(kind)
+    shape = window(dim, width)
+    steps = (shape.far, shape.near, 1)
+    at_first = (1.0, *[0.0] * (width - 1))
+    at_last = (*[0.0] * (width - 1), 1.0)
 
     @_inline
-    def fill(x, block, nodes, half, base, w, d):
-        near_wall, node = False, zeros()
+    def step(k, nodes):
+        if in_window:
+            return steps[k]
+        n = 1
+        for j in range(k + 1, dim):
+            n *= nodes.shape[j]
+        return n
+
+    @_inline
+    def at_wall(t, cells, half):
+        """As ``anywhere``; on a wall, values are exact, so that it holds what is on it."""
+        first, values, slopes = anywhere(min(max(t, 0.0), float(cells)), cells, half)
+        if t < ON_WALL:
+            return first, at_first, slopes
+        if t > cells - ON_WALL:
+            return first, at_last, slopes
+        return first, values, slopes
+
+    @_inline
+    def fill(x, block, nodes, half, lower, base, w, d):
+        near_wall, place = False, zeros()
         for k in range(dim):
             t = (load(x, block * dim + k) - nodes.origin[k]) * nodes.per_metre[k]
             first, values, slopes, no_wall = inside(t, nodes.shape[k] - 1, half[k])
@@ -87,27 +157,22 @@ def stencils(dim: int, kind: int) -> Any:
             for a in range(width):
                 store(w, k * width + a, values[a])
                 store(d, k * width + a, slopes[a] * nodes.per_metre[k])
-            node = node * nodes.shape[k] + first
-        store_integers(base, node)
+            place = place + (first - lower[k]) * float(step(k, nodes))
+        store_integers(base, place)
         if near_wall:
             for i in range(LANES):
                 number = np.int64(0)
                 for k in range(dim):
                     t_i = (x[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
-                    first_i, values_i, slopes_i = anywhere(t_i, nodes.shape[k] - 1, half[k])
-                    number = number * nodes.shape[k] + first_i
+                    n = nodes.shape[k] - 1
+                    first_i, values_i, slopes_i = at_wall(t_i, n, half[k])
+                    number += (first_i - np.int64(lower[k])) * step(k, nodes)
                     for a in range(width):
                         w[k * width + a, i] = values_i[a]
                         d[k * width + a, i] = slopes_i[a] * nodes.per_metre[k]
                 base[i] = number
 
     return fill
-
-
-@_inline
-def strides(nodes):
-    """Distances in memory of nodes next to each other in the first and in the second direction."""
-    return nodes.shape[1] * nodes.shape[2], nodes.shape[2]
 
 
 @functools.cache
@@ -121,6 +186,7 @@ def _functions(kind: int) -> Any:
 
         @_inline
         def inside(t, cells, half):
+            t = choose(ON_WALL - t, 0.0, choose(t - (cells - ON_WALL), float(cells), t))
             c = min(max(math.floor(t), 0.0), cells - 1.0)
             values, slopes, _ = linear(t - c)
             return c, values, (zeros() + slopes[0], zeros() + slopes[1]), True

@@ -2,6 +2,7 @@
 """Eight numbers at once in loops compiled by numba, in one vector register."""
 
 from fenicsmpm.lanes.memory import (
+    line_at,
     load,
     load_column,
     load_line,
@@ -30,6 +31,7 @@ __all__ = [
     "add_scaled",
     "between",
     "choose",
+    "line_at",
     "load",
     "load_column",
     "load_line",

@@ -95,6 +95,17 @@ def number_at(_typing, numbers, i):
 
 
 @intrinsic
+def line_at(_typing, numbers, i):
+    """The four numbers of a C-contiguous array from element i on, counted through."""
+
+    def generate(context, builder, signature, arguments):
+        address = _address(context, builder, signature.args[0], *arguments)
+        return builder.load(builder.bitcast(address, SHORT_VECTOR.as_pointer()), align=8)
+
+    return LINE(numbers, types.intp), generate
+
+
+@intrinsic
 def load_column(_typing, numbers, first, step):
     """Row of the elements ``first + i * step`` of a C-contiguous array, counted through."""
 
