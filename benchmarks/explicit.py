@@ -17,8 +17,8 @@ import numpy as np
 from dolfinx import fem, mesh
 
 from fenicsmpm import explicit, points
-from fenicsmpm.explicit.explicit_mpm import STEPS_OF_A_BLOCK
 from fenicsmpm.materials import NeoHookean
+from fenicsmpm.simulation.explicit_on_lattice import STEPS_OF_A_BLOCK
 
 LAW = NeoHookean(E=100.0, nu=0.3).pointwise()
 

@@ -7,8 +7,8 @@
 # of its energy. The demo shows how
 #
 # - the residual of an explicit simulation is written down: internal forces and whatever else acts,
-# - the same lines run on a lattice with B-splines, whose internal forces go by fused kernels, and on
-#   triangles, where all goes by forms.
+# - the same lines run on a lattice with B-splines, whose internal forces go by fused kernels, and
+#   on triangles, where all goes by forms.
 #
 # ## Formulation
 #
@@ -19,8 +19,8 @@
 # \rho \ddot a + \eta k^2 \dot a + E k^2 a = 0,
 # $$
 #
-# so that with $\delta = \eta k^2 / 2 \rho$ and $\omega^2 = E k^2 / \rho - \delta^2$ its amplitude falls
-# by $e^{-2 \pi \delta / \omega}$ in a period, and the energy by the square of that.
+# so that its amplitude falls as $e^{-\delta t}$ with $\delta = \eta k^2 / 2 \rho$ while it swings
+# with $\omega^2 = E k^2 / \rho - \delta^2$, and the energy as the square of that.
 #
 # ## Implementation
 

@@ -13,12 +13,12 @@ from dolfinx import fem, mesh
 from explicit_runs import simulate
 
 from fenicsmpm import RigidBox, UnstableError, formulations, io, points
+from fenicsmpm.basis.blocks import in_blocks, plain_order, stencils
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
 from fenicsmpm.diagnostics import mean_stress, momentum
-from fenicsmpm.explicit.grid import Nodes
-from fenicsmpm.explicit.stencils import in_blocks, stencils
 from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law, NeoHookean, VonMises, compiled
+from fenicsmpm.transfer.tiles import make_nodes
 
 COMM = MPI.COMM_WORLD
 RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
@@ -42,12 +42,12 @@ def test_functions_at_walls_are_those_of_the_basis(kind):
     cells, half, width = 6, 0.3, WIDTH[kind]
     t = np.concatenate([np.linspace(0, cells, 121), [0.2, 5.8, 0.5, 5.5, 1e-12, cells - 1e-12]])
     x = np.column_stack([t, t[::-1]])
-    nodes = Nodes(np.zeros(3), np.ones(3), np.array([cells + 1, cells + 1, 1]))
-    fill, rows = stencils(2, kind), in_blocks(x, (1.0, 1.0))
+    nodes = make_nodes(np.zeros(2), np.ones(2), np.array([cells, cells]))
+    fill, rows = stencils(2, kind, in_window=False), in_blocks(x, plain_order(len(x)))
     base, w, d = np.empty(LANES, np.int64), np.empty((3 * width, LANES)), np.empty((12, LANES))
     line = np.zeros((3, 4))
     for p in range(len(x)):
-        fill(rows, p // LANES, nodes, np.full(3, half), base, w, d)
+        fill(rows, p // LANES, nodes, np.full(3, half), (0.0, 0.0, 0.0), base, w, d)
         i, firsts = p % LANES, []
         for k in range(2):
             cell = min(int(x[p, k]), cells - 1)

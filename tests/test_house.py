@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The house: lower floors do not import higher ones, and no modules import each other in a circle."""
+"""The house: lower floors do not import higher ones."""
 
 import ast
 from pathlib import Path

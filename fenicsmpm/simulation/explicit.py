@@ -14,14 +14,22 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import check_on_exit
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.simulation.explicit_by_forms import ByForms
-from fenicsmpm.simulation.explicit_checks import check_bodies, check_functions, check_space
+from fenicsmpm.simulation.explicit_checks import (
+    check_bodies,
+    check_functions,
+    check_space,
+    functions_of,
+)
+from fenicsmpm.simulation.explicit_on_lattice import OnLattice
 from fenicsmpm.simulation.residual import Residual
+from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 from fenicsmpm.solvers.checks import check_bcs
@@ -60,6 +68,7 @@ class ExplicitMPM:
         cfl: time step times wave speed per cell size.
         flip: share of FLIP in velocities, the rest is PIC (eq. 13).
         damping: share of local damping, for static problems.
+        rigid: boxes that bodies cannot enter.
 
     Attributes:
         velocity: of the nodes [m/s], at the end of the last step.
@@ -73,6 +82,7 @@ class ExplicitMPM:
         laws: law at the points of each body that has one; may be replaced by one of the same kind
             with other parameters.
         bcs: may be changed between steps, as may flip, damping and data.
+        rigid: boxes.
         reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
         seconds: time spent in each stage so far [s].
 
@@ -97,6 +107,7 @@ class ExplicitMPM:
         cfl: float = 0.4,
         flip: float = 1.0,
         damping: float = 0.0,
+        rigid: Sequence[RigidBox] = (),
     ) -> None:
         """Check and compile everything (collective)."""
         if dt is not None:
@@ -122,7 +133,9 @@ class ExplicitMPM:
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", (V.mesh.geometry.dim,))
-        self.bcs, self.data, self.on_exit = list(bcs), data, on_exit
+        if any(len(box.force) != V.mesh.geometry.dim for box in rigid):
+            raise ValueError(f"a rigid box needs corners of {V.mesh.geometry.dim} numbers here")
+        self.bcs, self.rigid, self.data, self.on_exit = list(bcs), list(rigid), data, on_exit
         self.flip, self.damping = flip, damping
         self.time, self.number = 0.0, 0
         self.reaction = np.zeros(V.mesh.geometry.dim)
@@ -130,8 +143,20 @@ class ExplicitMPM:
         self._cfl, self._given_dt, self._warned = cfl, dt, False
         self._h = _smallest_height(V.mesh)
         self.dt = self._step_length()
-        self._way = ByForms(self, updates or {})
+        way = OnLattice if self._is_for_kernels() else ByForms
+        self._way: OnLattice | ByForms = way(self, updates or {})
         self.mass, self.acceleration = self._way.mass, self._way.acceleration
+
+    def _is_for_kernels(self) -> bool:
+        """Whether fused kernels do what the residual says, but for further terms."""
+        mesh = self.velocity.function_space.mesh
+        if cell_geometry(mesh).boxes is None or self.residual.internal != set(self.bodies):
+            return False
+        try:
+            lattice_of(mesh)
+        except ValueError:  # with holes
+            return False
+        return functions_of(self.bodies[0]) != "linear"
 
     # --- steps -------------------------------------------------------------------------------
 
@@ -196,8 +221,9 @@ class ExplicitMPM:
 
     @property
     def method(self) -> str:
-        """Name of the method, for checkpoints."""
-        return type(self).__name__
+        """Name of the method, with the number of boxes, whose ways are in ``memory``."""
+        boxes = f" with {len(self.rigid)} rigid boxes" if self.rigid else ""
+        return type(self).__name__ + boxes
 
     @property
     def memory(self) -> dict[str, float]:

@@ -62,10 +62,14 @@ class OnLattice:
         self._updates = {
             points: forms.FieldUpdates(points, fields) for points, fields in updates.items()
         }
-        parts = [part for part in (residual.rest_at_bodies, residual.rest_elsewhere) if part]
-        self._forms = [forms.form(part) for part in parts]
+        self._at_bodies, self._elsewhere = (
+            None if rest is None else forms.form(rest)
+            for rest in (residual.rest_at_bodies, residual.rest_elsewhere)
+        )
         self._nodal = la.vector(V.dofmap.index_map, self._dim)
-        self.longest = 1 if self._forms or self._updates else STEPS_OF_A_BLOCK
+        # forms and updates take points where they are
+        is_fused = self._at_bodies is None and self._elsewhere is None and not self._updates
+        self.longest = STEPS_OF_A_BLOCK if is_fused else 1
         self._unsorted = 0
 
     def advance(self, steps: int) -> int:
@@ -84,11 +88,14 @@ class OnLattice:
                 sim.end_of_step()
             faults = [(part, part.bad_stress()) for part in engine.parts]
             sim.raise_if([part.describe(block) for part, block in faults if block >= 0])
+            new = {points: update.evaluate() for points, update in self._updates.items()}
         except BaseException:
             for box, way in zip(sim.rigid, ways, strict=True):
                 box.moved = way
             raise
-        with clock("settle"):
+        with clock("convect"):
+            for points, fields in new.items():
+                points.assign(fields)
             self._unsorted += steps
             sort = self._unsorted >= STEPS_OF_A_BLOCK
             engine.settle(sort)
@@ -109,8 +116,7 @@ class OnLattice:
                 messages += engine.push(box, velocity, dt)
             engine.sum_nodes(sim.residual.gravity)
         with clock("forces"):
-            messages += engine.add_loads(self._loads())
-            self._add_forms()
+            messages += self._forces()
         with clock("grid"):
             reaction = engine.move_nodes(dt, sim.damping)
             messages += engine.move_loads(dt)
@@ -127,28 +133,31 @@ class OnLattice:
         with clock("stress and P2G"):
             engine.finish(again, anew)
 
-    def _loads(self) -> dict[MaterialPoints, Array]:
-        """Forces at carried points, ``(n, d)`` [N]."""
-        return {
+    def _forces(self) -> list[str]:
+        """Add what is neither internal force nor gravity; what is wrong, on this rank."""
+        engine, velocity = self._engine, self._sim.velocity
+        loads = {
             points: points.weight[:, None] * traction.evaluate()
             for points, traction in self._tractions.items()
         }
+        if self._at_bodies is not None or self._elsewhere is not None:
+            engine.write("mass", self.mass)
+            engine.write("momentum", velocity)
+            momentum, mass = velocity.x.array.reshape(-1, self._dim), self.mass.x.array[:, None]
+            np.divide(momentum, mass, out=momentum, where=mass > 0)
+        if self._at_bodies is not None:
+            engine.add_forces(self._assemble(self._at_bodies))
+        at_nodes = None if self._elsewhere is None else self._assemble(self._elsewhere)
+        return engine.add_loads(loads, at_nodes) if loads or at_nodes is not None else []
 
-    def _add_forms(self) -> None:
-        """Minus what is neither internal force, gravity nor load."""
-        if not self._forms:
-            return
-        engine, velocity, force = self._engine, self._sim.velocity, self._nodal
-        engine.write("mass", self.mass)
-        engine.write("momentum", velocity)
-        momentum, mass = velocity.x.array.reshape(-1, self._dim), self.mass.x.array[:, None]
-        np.divide(momentum, mass, out=momentum, where=mass > 0)
+    def _assemble(self, form: forms.Form) -> Array:
+        """Minus a part of the residual, at the nodes of this rank, ``(n, d)`` [N]."""
+        force = self._nodal
         force.array[:] = 0.0
-        for form in self._forms:
-            forms.assemble_vector(form, force)
+        forms.assemble_vector(form, force)
         force.scatter_reverse(la.InsertMode.add)
         owned = force.index_map.size_local
-        engine.add_forces(-force.array.reshape(-1, self._dim)[:owned])
+        return -force.array.reshape(-1, self._dim)[:owned]
 
     def _write_nodes(self) -> None:
         """Nodal fields at the end of a step as functions."""
@@ -203,4 +212,5 @@ class OnLattice:
         if self._tractions:
             kernels.append("loads")
         text = f"by fused kernels: {', '.join(kernels)}"
-        return text + "".join(f"; by forms: {form}" for form in self._forms)
+        rest = [form for form in (self._at_bodies, self._elsewhere) if form is not None]
+        return text + "".join(f"; by forms: {form}" for form in rest)

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from fenicsmpm.explicit.tiles import Integers, Layout, Nodes
 from fenicsmpm.points.migration import exchange
+from fenicsmpm.transfer.tiles import Integers, Layout, Nodes
 
 _TAG = 4711
 
@@ -232,7 +232,7 @@ class DofLink:
         return exchange(self._comm, self._to, {"value": sent})["value"]
 
     def collect(self, values: Floats) -> Floats:
-        """Values ``(m, ...)`` at ``places`` to owned dofs, zero where there is no tile (collective).
+        """Values ``(m, ...)`` at ``places`` to owned dofs, zero without a tile (collective).
 
         Where several ranks have a node, the first one that adds to it says what it has.
         """

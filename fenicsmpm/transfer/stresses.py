@@ -10,7 +10,7 @@ from typing import Any
 
 import numba
 
-from fenicsmpm.explicit.stencils import OPTIONS
+from fenicsmpm.basis.blocks import OPTIONS
 from fenicsmpm.lanes import LANES, tensors, works_on_rows
 
 _inline = numba.njit(forceinline=True, **OPTIONS)

@@ -3,7 +3,7 @@
 
 A block of steps is ``begin``, for each step ``sum_nodes``, forces, ``move_nodes``, ``gather``,
 ``average`` and ``finish``, and at last ``settle``. In between, the points are as they were. Each
-rank has the tiles of the lattice (`fenicsmpm.explicit.tiles`) that its points may reach, and the
+rank has the tiles of the lattice (`fenicsmpm.transfer.tiles`) that its points may reach, and the
 right sums in all of them.
 """
 
@@ -11,31 +11,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import lattice_of
-from fenicsmpm.basis.lines import LINEAR
-from fenicsmpm.explicit import grid
-from fenicsmpm.explicit.contact import RigidBox
 from fenicsmpm.formulations.fbar import FBar
-from fenicsmpm.explicit.parts import Load, Part
-from fenicsmpm.explicit.sharing import DofLink, Sharing, Sums
-from fenicsmpm.explicit.tiles import Nodes, lay, nodes_of
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.simulation.lattice_parts import Carried, Part
+from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.solvers.checks import check_bcs
+from fenicsmpm.transfer import grid_rows as grid
+from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS
+from fenicsmpm.transfer.sharing import DofLink, Sharing, Sums
+from fenicsmpm.transfer.tiles import Nodes, lay, nodes_of
 
 Array = npt.NDArray[np.float64]
-
-# Share of the largest mass around it below which a node is light (``grid.full_share``). Where
-# functions have kinks, light nodes have forces like others; elsewhere both vanish together, and
-# round-off only has to be kept from them
-_LIGHT_LINEAR, _LIGHT_SMOOTH = 0.1, 1e-8
 
 # First column of each nodal field, and whether it is a vector
 COLUMNS = {
@@ -54,12 +47,12 @@ class LatticeEngine:
         V: space of velocities, linear, with d components.
         bodies: with their laws.
         fbars: averages of J of each body, or None.
-        loads: points that carry forces.
+        carried: points that move along, and may carry forces.
         kind: of grid functions.
 
     Attributes:
         parts: the bodies.
-        loads: what carries forces.
+        carried: points that move along.
         nodes: of the lattice.
         rows: ``(n_tiles, nodes of a tile, 8)``, sums of all bodies on all ranks, see `grid`.
     """
@@ -69,7 +62,7 @@ class LatticeEngine:
         V: fem.FunctionSpace,
         bodies: Mapping[MaterialPoints, Law],
         fbars: Sequence[FBar | None],
-        loads: Sequence[MaterialPoints],
+        carried: Sequence[MaterialPoints],
         kind: int,
     ) -> None:
         """Check the fields of points (collective)."""
@@ -80,11 +73,7 @@ class LatticeEngine:
             Part(body, law, kind, fbar, self.nodes)
             for (body, law), fbar in zip(bodies.items(), fbars, strict=True)
         ]
-        self.loads = [Load(points, kind) for points in loads]
-        masses = [float(np.min(body["mass"], initial=np.inf)) for body in bodies]
-        # far below any point's share in a node whose support it is in
-        self._least_mass = 1e-16 * self._comm.allreduce(min(masses), MPI.MIN)
-        self._light = _LIGHT_LINEAR if kind == LINEAR else _LIGHT_SMOOTH
+        self.carried = [Carried(points, kind) for points in carried]
         self._sums: Sums | None = None
         self._sum_forces: Sums | None = None
         self._all_dofs: DofLink | None = None
@@ -100,7 +89,7 @@ class LatticeEngine:
             bcs: Dirichlet conditions on velocities.
         """
         self._supports = Supports(self._V, bcs)
-        for load in self.loads:
+        for load in self.carried:
             load.begin()
         for part in self.parts:
             part.drop()
@@ -111,7 +100,7 @@ class LatticeEngine:
 
     def _sort(self) -> None:
         self._reaches = [part.sort() for part in self.parts]
-        self._reaches += [load.find(self.nodes) for load in self.loads]
+        self._reaches += [load.find(self.nodes) for load in self.carried]
 
     def _lay(self) -> None:
         """Make the tiles that the points can reach, and add the points to the nodes."""
@@ -130,8 +119,8 @@ class LatticeEngine:
             grid.tile_rows(len(layout.ids), nodes.per_tile) if several else self.parts[0].rows
         )
         self._bounds = np.zeros((len(layout.ids), 2))
-        self._forces = np.zeros((len(layout.ids) if self.loads else 0, nodes.per_tile, 3))
-        if self.loads:
+        self._forces = np.zeros((len(layout.ids) if self.carried else 0, nodes.per_tile, 3))
+        if self.carried:
             self._sum_forces = Sums(sharing, nodes.per_tile, [0, 1, 2])
         self._all_dofs = None
         self._supports.find(sharing, nodes)
@@ -155,7 +144,7 @@ class LatticeEngine:
         self.rows = self._forces = np.empty((0, 0, 0))
         for part in self.parts:
             part.settle(sort)
-        for load in self.loads:
+        for load in self.carried:
             load.settle()
 
     # --- phases of a step ----------------------------------------------------------------------
@@ -178,58 +167,88 @@ class LatticeEngine:
                 messages.append(f"a point is inside of the box {box.lower} ... {box.upper}")
         return messages
 
-    def sum_nodes(self) -> None:
-        """Mass, momentum and internal force of all bodies on all ranks (collective)."""
+    def sum_nodes(self, gravity: Mapping[MaterialPoints, fem.Constant]) -> None:
+        """Mass, momentum, internal force and weight of all bodies on all ranks (collective).
+
+        Args:
+            gravity: force per mass [m/s^2] on bodies; none on those that are not there.
+        """
         if len(self.parts) > 1:
             grid.clear(self.rows)
-            for part, place in zip(self.parts, self._places, strict=True):
+        for part, place in zip(self.parts, self._places, strict=True):
+            if part.points in gravity:
+                g = np.zeros(3)
+                g[: self._dim] = gravity[part.points].value
+                grid.add_weight(part.rows, g)
+            if len(self.parts) > 1:
                 grid.add_body(part.rows, place, self.rows)
         assert self._sums is not None
         self._sums.add(self.rows)
+        grid.masses(self.rows, self._bounds)
+        self._relieve(self.rows, grid.FORCE, LIGHT)
 
-    def add_loads(self) -> list[str]:
-        """Add the forces of loads to nodes that have mass (collective).
+    def _relieve(self, forces: Array, column: int, threshold: float) -> None:
+        grid.relieve(
+            self.rows, self._bounds, forces, column, self._layout.neighbours, self._layout.ids,
+            self.nodes, threshold,
+        )  # fmt: skip
+
+    def add_loads(
+        self, loads: Mapping[MaterialPoints, Array], at_nodes: Array | None = None
+    ) -> list[str]:
+        """Add forces at carried points, and some that are known at dolfinx' nodes (collective).
+
+        Args:
+            loads: ``(n, d)`` [N] at points that carry some.
+            at_nodes: ``(n, d)`` [N] of the nodes of V that this rank owns, in their order.
 
         Returns:
             What is wrong, on this rank.
         """
-        if self._sum_forces is None:
+        if self._sum_forces is None and at_nodes is None:
             return []
+        if self._sum_forces is None:
+            self._forces = np.zeros((len(self.rows), self.nodes.per_tile, 3))
         self._forces[:] = 0.0
-        bad = [
-            load.add_forces(
-                self.rows, self._forces, self.nodes, self._layout.ids, self._least_mass
-            )
-            for load in self.loads
-        ]
-        self._sum_forces.add(self._forces)
+        messages = []
+        for carried in self.carried:
+            if carried.points in loads:
+                bad = carried.add_forces(
+                    loads[carried.points], self.rows, self._forces, self.nodes, self._layout.ids
+                )
+                if bad >= 0:
+                    messages.append(carried.describe(bad, "is away from all bodies"))
+        if self._sum_forces is not None:
+            self._sum_forces.add(self._forces)
+        if at_nodes is not None:
+            link = self._dof_link()
+            flat = self._forces.reshape(-1, 3)
+            flat[link.places, : self._dim] += link.spread(at_nodes)
+        self._relieve(self._forces, 0, LIGHT_FOR_LOADS)
         self.rows[:, :, grid.FORCE :] += self._forces
-        return _describe(self.loads, bad, "is away from all bodies")
+        return messages
 
     def add_forces(self, forces: Array) -> None:
-        """Add forces that are known at dolfinx' nodes (collective).
+        """Add forces of points of bodies that are known at dolfinx' nodes (collective).
 
         Args:
             forces: ``(n, d)`` [N] of the nodes of V that this rank owns, in their order.
         """
         link = self._dof_link()
-        flat = self.rows.reshape(-1, 8)
-        flat[link.places, grid.FORCE : grid.FORCE + self._dim] += link.spread(forces)
+        nodal = np.zeros((len(self.rows), self.nodes.per_tile, 3))
+        nodal.reshape(-1, 3)[link.places, : self._dim] += link.spread(forces)
+        self._relieve(nodal, 0, LIGHT)
+        self.rows[:, :, grid.FORCE :] += nodal
 
-    def move_nodes(self, dt: float, gravity: Array, damping: float) -> Array:
+    def move_nodes(self, dt: float, damping: float) -> Array:
         """From mass, momentum and forces to velocities of the nodes.
 
         Returns:
             The part of the reactions ``(3,)`` [N] that this rank counts.
         """
-        rows, bounds = self.rows, self._bounds
-        grid.masses(rows, bounds)
-        grid.spare_light_nodes(
-            rows, bounds, self._layout.neighbours, self.nodes.side, self._light
-        )
-        fixed = self._supports.now
-        reaction = grid.reactions(rows, dt, gravity, *fixed, self._sharing.counted)
-        grid.update_nodes(rows, bounds, dt, gravity, damping)
+        rows, fixed = self.rows, self._supports.now
+        reaction = grid.reactions(rows, dt, *fixed, self._sharing.counted)
+        grid.update_nodes(rows, self._bounds, dt, damping)
         grid.constrain(rows, *fixed)
         return np.asarray(reaction)
 
@@ -240,13 +259,11 @@ class LatticeEngine:
             What is wrong, on this rank.
         """
         bad = []
-        for load in self.loads:
-            point, strays = load.follow(
-                self.rows, self.nodes, self._layout.ids, self._least_mass, dt
-            )
+        for load in self.carried:
+            point, strays = load.follow(self.rows, self.nodes, self._layout.ids, dt)
             bad.append(point)
             self._strays |= strays
-        return _describe(self.loads, bad, "leaves the lattice")
+        return _describe(self.carried, bad, "leaves the lattice")
 
     def gather(self, dt: float, flip: float) -> list[str]:
         """Velocities, positions and F of the points from the nodes, and J back to them.
@@ -370,5 +387,5 @@ class Supports:
         self.now = self._link.places, self._components, values
 
 
-def _describe(loads: list[Load], bad: list[int], what: str) -> list[str]:
+def _describe(loads: list[Carried], bad: list[int], what: str) -> list[str]:
     return [load.describe(p, what) for load, p in zip(loads, bad, strict=True) if p >= 0]

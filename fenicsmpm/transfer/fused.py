@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: MIT
 """The transfers of an explicit step between points and a lattice, fused point by point (numba).
 
-A step consists of the update of the nodes (`fenicsmpm.explicit.grid`), ``gather`` and ``finish``,
-which goes on with what the points give to the nodes for the next step; before the first step, that
-is ``scatter``. So in between no stress goes to memory, which is what limits the speed. Each kernel
+A step consists of the update of the nodes (`fenicsmpm.transfer.grid_rows`), ``gather`` and
+``finish``, which goes on with what the points give to the nodes for the next step; before the
+first step, that is ``scatter``. So in between no stress goes to memory, which is what limits the
+speed. Each kernel
 is compiled for a dimension, a basis and a material, in which it is inlined. In the plane, the third
 direction has one node.
 
 A row of the grid holds, of a node, mass, momentum, volume and internal force before its update, and
 mass, velocity, volume and the increment of velocity after it (columns in
-`fenicsmpm.explicit.grid`). Points of a tile see its nodes in a window
-(`fenicsmpm.explicit.windows`).
+`fenicsmpm.transfer.grid_rows`). Points of a tile see its nodes in a window
+(`fenicsmpm.transfer.windows`).
 
 References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit material
 point methods" (F-bar).
@@ -28,12 +29,8 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.grid import FORCE, INCREMENT, MASS, MOMENTUM, VELOCITY, VOLUME
-from fenicsmpm.explicit.stencils import OPTIONS, stencils
-from fenicsmpm.explicit.stresses import stresses
-from fenicsmpm.explicit.tiles import ON_WALL, window
-from fenicsmpm.explicit.windows import SPARE, scratch_rows, windows
 from fenicsmpm.lanes import (
     LANES,
     LINE_LANES,
@@ -53,6 +50,10 @@ from fenicsmpm.lanes import (
     zeros,
 )
 from fenicsmpm.materials.tensors import cube_root
+from fenicsmpm.transfer.grid_rows import FORCE, INCREMENT, MASS, MOMENTUM, VELOCITY, VOLUME
+from fenicsmpm.transfer.stresses import stresses
+from fenicsmpm.transfer.tiles import ON_WALL, window
+from fenicsmpm.transfer.windows import SPARE, scratch_rows, windows
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
@@ -235,7 +236,11 @@ def transfers(
         """
         base = np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        f, shares, lines = scratch_rows(9, LANES), scratch_rows(1, LANES), scratch_rows(4 * LANES, LANES)
+        f, shares, lines = (
+            scratch_rows(9, LANES),
+            scratch_rows(1, LANES),
+            scratch_rows(4 * LANES, LANES),
+        )
         last_w = scratch_rows(LANES, LINE_LANES)
         scratch, work = scratch_rows(count, LANES), np.empty(count)
         averages = scratch_rows(count + SPARE, LINE_LANES)
@@ -262,8 +267,9 @@ def transfers(
                     cells = nodes.shape[j] - 1
                     good &= between(t, -ON_WALL, cells + ON_WALL)
                     stays &= between(t, units.t_low[unit, j], units.t_high[unit, j])
-                    x_next = choose(ON_WALL - t, nodes.origin[j], x_next)
-                    x_next = choose(t - (cells - ON_WALL), nodes.upper[j], x_next)
+                    x_next = choose(ON_WALL**2 - t * t, nodes.origin[j], x_next)
+                    beyond = t - cells
+                    x_next = choose(ON_WALL**2 - beyond * beyond, nodes.upper[j], x_next)
                     in_flip = load(body.v, vector + j) + increment
                     v_next = flip * in_flip + (1.0 - flip) * velocity
                     store(body.x_next, vector + j, x_next)

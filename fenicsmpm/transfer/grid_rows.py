@@ -12,7 +12,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from fenicsmpm.explicit.stencils import empty_rows
+from fenicsmpm.basis.blocks import empty_rows
 from fenicsmpm.lanes import LANES
 
 # Columns of a row, of which vectors have three: before the update of the nodes ...
@@ -22,17 +22,6 @@ VELOCITY, INCREMENT = MOMENTUM, FORCE
 
 # Nodes with less mass than that of anything are empty
 _NOTHING = 1e-290
-
-
-@numba.njit(cache=True)
-def full_share(m, largest, threshold):
-    """Share of a force that a node of mass m takes, by the largest mass around it, 0 to 1.
-
-    An element whose mass is a share s of a full one is stable up to steps that are sqrt(s) times
-    as long only, and points would follow a light node that is thrown ahead. So light nodes take
-    less of forces, and others more.
-    """
-    return min(1.0, m / (threshold * largest)) if m > _NOTHING else 0.0
 
 
 def tile_rows(tiles: int, per_tile: int, lanes: int = LANES) -> np.ndarray:
@@ -64,6 +53,15 @@ def add_body(rows, place, total):
 
 
 @numba.njit(cache=True, parallel=True)
+def add_weight(rows, gravity):
+    """Add mass times a force per mass ``(3,)`` to the forces."""
+    for tile in numba.prange(len(rows)):
+        for n in range(rows.shape[1]):
+            for k in range(3):
+                rows[tile, n, FORCE + k] += rows[tile, n, MASS] * gravity[k]
+
+
+@numba.njit(cache=True, parallel=True)
 def clear(rows):
     """Zeros in all tiles."""
     for tile in numba.prange(len(rows)):
@@ -85,43 +83,62 @@ def masses(rows, bounds):
 
 
 @numba.njit(cache=True)
-def _around(tile, n, side, neighbours, around):
-    """Rows of the nodes around the n-th one of a tile, those of the tile before first; how many."""
+def _around(tile, n, ids, nodes, neighbours, around, cells):
+    """Rows of the nodes around the n-th one of a tile and itself, and how many cells they share.
+
+    Returns:
+        How many nodes there are.
+    """
+    side, shape = nodes.side, nodes.shape
     per_tile, count = side[0] * side[1] * side[2], 0
-    x, y, z = n // (side[1] * side[2]), n // side[2] % side[1], n % side[2]
-    reach_z = 1 if side[2] > 1 else 0
-    for a in range(x - 1, x + 2):
-        for b in range(y - 1, y + 2):
-            for c in range(z - reach_z, z + reach_z + 1):
-                if a == x and b == y and c == z:
+    at = (n // (side[1] * side[2]), n // side[2] % side[1], n % side[2])
+    number = ids[tile]
+    first = (
+        number // (nodes.tiles[1] * nodes.tiles[2]) * side[0],
+        number // nodes.tiles[2] % nodes.tiles[1] * side[1],
+        number % nodes.tiles[2] * side[2],
+    )
+    for i in range(-1, 2):
+        for j in range(-1, 2):
+            for k in range(-1, 2):
+                shared, inside = 1, True
+                for m, step in enumerate((i, j, k)):
+                    index = first[m] + at[m] + step
+                    inside &= 0 <= index < shape[m]
+                    if step == 0 and shape[m] > 1 and 0 < index < shape[m] - 1:
+                        shared *= 2
+                if not inside:
                     continue
-                i, j, k = a // side[0] + 1, b // side[1] + 1, c // side[2] + 1
-                other = neighbours[tile, (i * 3 + j) * 3 + k]
+                a, b, c = at[0] + i, at[1] + j, at[2] + k
+                near = ((a // side[0] + 1) * 3 + b // side[1] + 1) * 3 + c // side[2] + 1
+                other = neighbours[tile, near]
                 if other >= 0:
                     node = ((a % side[0]) * side[1] + b % side[1]) * side[2] + c % side[2]
-                    around[count] = other * per_tile + node
+                    around[count], cells[count] = other * per_tile + node, shared
                     count += 1
     return count
 
 
 @numba.njit(cache=True)
-def spare_light_nodes(rows, bounds, neighbours, side, threshold):
-    """Give a part of the forces on light nodes to those around them.
-
-    A node takes ``full_share`` of its force; the rest goes to the nodes around it in proportion to
-    their masses, so that momentum is kept.
+def relieve(rows, bounds, forces, column, neighbours, ids, nodes, threshold):
+    """Move forces from light nodes to those around them, as ``light_nodes.LightNodes`` does.
 
     Args:
-        rows: ``(n_tiles, nodes, 8)``.
+        rows: ``(n_tiles, nodes, 8)`` with the masses.
         bounds: of the masses in each tile, see ``masses``.
+        forces: ``(n_tiles, nodes, n)``, changed in place.
+        column: first of the three with the forces.
         neighbours: ``(n_tiles, 27)`` tiles around each.
-        side: ``(3,)`` nodes of a tile.
-        threshold: share of the largest mass around a node from which on it is not light.
+        ids: ``(n_tiles,)`` numbers of the tiles.
+        nodes: of the lattice.
+        threshold: share of the mean mass around a node, below which it is light.
     """
-    flat = rows.reshape(-1, LANES)
+    flat, f = rows.reshape(-1, LANES), forces.reshape(-1, forces.shape[2])
     per_tile = rows.shape[1]
-    around = np.empty(27, np.int64)
-    light, rests = [np.int64(0) for _ in range(0)], [np.zeros(3) for _ in range(0)]
+    around, cells = np.empty(27, np.int64), np.empty(27, np.int64)
+    # lists of which numba knows the types
+    light, totals = [np.int64(0) for _ in range(0)], [0.0 for _ in range(0)]
+    given = [np.zeros(3) for _ in range(0)]
     for tile in range(len(rows)):
         largest = 0.0
         for other in neighbours[tile]:
@@ -130,29 +147,32 @@ def spare_light_nodes(rows, bounds, neighbours, side, threshold):
         if not bounds[tile, 0] < threshold * largest:
             continue
         for n in range(per_tile):
-            m = rows[tile, n, MASS]
-            if not _NOTHING < m < threshold * largest:
+            m, place = rows[tile, n, MASS], tile * per_tile + n
+            if not m < threshold * largest or not f[place, column : column + 3].any():
                 continue
-            count, near = _around(tile, n, side, neighbours, around), m
-            for i in range(count):
-                near = max(near, flat[around[i], MASS])
-            share = full_share(m, near, threshold)
-            if share < 1.0:
-                light.append(tile * per_tile + n)
-                rests.append((1.0 - share) * rows[tile, n, FORCE:].copy())
+            total, count = 0.0, 0
+            for i in range(_around(tile, n, ids, nodes, neighbours, around, cells)):
+                total += cells[i] * flat[around[i], MASS]
+                count += cells[i]
+            if m * count < threshold * total:
+                light.append(place)
+                share = 1.0 - m * count / (threshold * total)
+                given.append(share * f[place, column : column + 3])
+                totals.append(total)
     for i in range(len(light)):
-        count, total = _around(light[i] // per_tile, light[i] % per_tile, side, neighbours, around), 0.0
+        f[light[i], column : column + 3] -= given[i]
+    for i in range(len(light)):
+        count = _around(
+            light[i] // per_tile, light[i] % per_tile, ids, nodes, neighbours, around, cells
+        )
         for j in range(count):
-            total += flat[around[j], MASS]
-        for k in range(3):
-            rest = rests[i][k]
-            flat[light[i], FORCE + k] -= rest
-            for j in range(count):
-                flat[around[j], FORCE + k] += flat[around[j], MASS] / total * rest
+            share = cells[j] * flat[around[j], MASS] / totals[i]
+            for k in range(3):
+                f[around[j], column + k] += share * given[i][k]
 
 
 @numba.njit(cache=True, parallel=True)
-def update_nodes(rows, bounds, dt, gravity, damping):
+def update_nodes(rows, bounds, dt, damping):
     """New velocities of the nodes, eq. 9 (F-bar), with local damping.
 
     The damping force is that share of the unbalanced force, against the motion (Al-Kafaji,
@@ -167,7 +187,7 @@ def update_nodes(rows, bounds, dt, gravity, damping):
                 per_mass = 1.0 / m
                 for k in range(3):
                     v = rows[tile, n, MOMENTUM + k] * per_mass
-                    f = rows[tile, n, FORCE + k] + m * gravity[k]
+                    f = rows[tile, n, FORCE + k]
                     dv = dt * (f - damping * abs(f) * np.sign(v)) * per_mass
                     rows[tile, n, VELOCITY + k] = v + dv
                     rows[tile, n, INCREMENT + k] = dv
@@ -178,7 +198,7 @@ def update_nodes(rows, bounds, dt, gravity, damping):
 
 
 @numba.njit(cache=True)
-def reactions(rows, dt, gravity, places, components, values, counted):
+def reactions(rows, dt, places, components, values, counted):
     """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
 
     Supported nodes are not damped: the reaction to a body at rest is its weight.
@@ -186,7 +206,6 @@ def reactions(rows, dt, gravity, places, components, values, counted):
     Args:
         rows: ``(n_tiles, nodes, 8)``.
         dt: time step [s].
-        gravity: ``(3,)`` [m/s^2].
         places: ``(n,)`` rows of the nodes, counted through.
         components: ``(n,)`` 0, 1 or 2.
         values: ``(n,)`` [m/s].
@@ -197,8 +216,7 @@ def reactions(rows, dt, gravity, places, components, values, counted):
         n, k = places[i], components[i]
         if counted[n // rows.shape[1]]:
             m = flat[n, MASS]
-            force = (m * values[i] - flat[n, MOMENTUM + k]) / dt - flat[n, FORCE + k]
-            total[k] += force - m * gravity[k]
+            total[k] += (m * values[i] - flat[n, MOMENTUM + k]) / dt - flat[n, FORCE + k]
     return total
 
 

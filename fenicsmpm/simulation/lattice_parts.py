@@ -4,23 +4,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.basis.lattice import lattice_of
-from fenicsmpm.basis.lines import GIMP, WIDTH
-from fenicsmpm.explicit import grid
-from fenicsmpm.explicit.body import Body
-from fenicsmpm.explicit.carriers import carriers
-from fenicsmpm.explicit.contact import RigidBox, contact
+from fenicsmpm.basis.blocks import empty_rows, in_blocks, out_of_blocks, plain_order
+from fenicsmpm.basis.lattice_stencil import half_size_in_cells
+from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.formulations.fbar import FBar
-from fenicsmpm.explicit.kernels import transfers
-from fenicsmpm.explicit.sharing import Sharing, Sums
-from fenicsmpm.explicit.stencils import empty_rows, in_blocks, out_of_blocks, plain_order
-from fenicsmpm.explicit.tiles import (
+from fenicsmpm.lanes import LANES
+from fenicsmpm.materials import Law
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.simulation.rigid_box import RigidBox
+from fenicsmpm.transfer import grid_rows as grid
+from fenicsmpm.transfer.body import Body
+from fenicsmpm.transfer.carriers import carriers
+from fenicsmpm.transfer.contact import contact
+from fenicsmpm.transfer.fused import transfers
+from fenicsmpm.transfer.sharing import Sharing, Sums
+from fenicsmpm.transfer.tiles import (
     MARGIN,
     ON_WALL,
     Integers,
@@ -36,11 +39,6 @@ from fenicsmpm.explicit.tiles import (
     sort_keys,
     targets,
 )
-from fenicsmpm.lanes import LANES
-from fenicsmpm.materials import Law
-from fenicsmpm.points import MaterialPoints
-
-_NEEDED = ("mass", "V_0", "F", "J", "J_bar", "u", "v", "sigma")
 
 Array = npt.NDArray[np.float64]
 
@@ -60,26 +58,12 @@ class Part:
 
     Attributes:
         rows: ``(n_tiles, nodes of a tile, 8)``, what its points give to the nodes.
-
-    Raises:
-        ValueError: for points that miss fields, or have those of another law.
     """
 
     def __init__(
         self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None, nodes: Nodes
     ) -> None:
-        """Check the fields."""
-        missing = [name for name in (*_NEEDED, *law.state) if name not in points]
-        wrong = [
-            name
-            for name, (shape, _) in law.state.items()
-            if name in points and points.field_shape(name) != shape
-        ]
-        if missing or wrong:
-            raise ValueError(
-                f"a body without the fields {', '.join([*missing, *wrong])}: call "
-                "explicit.set_initial_state(points, law, density) first"
-            )
+        """Make the kernels, which are compiled at first use."""
         dim = points.mesh.geometry.dim
         self.points, self._law, self._fbar = points, law, fbar
         self._dim, self._rates, self._kind = dim, law.needs_rate, kind
@@ -93,7 +77,7 @@ class Part:
             law.is_fluid,
         )
         self._contact = contact(dim, kind)
-        self._half = half_size(points, kind)
+        self._half = half_size(points)
         self._nodes = nodes
         self._body: Body | None = None
         self._sum_volumes: Sums | None = None
@@ -152,9 +136,7 @@ class Part:
         tiles = np.ravel_multi_index(tuple(self._occupied.T), tuple(nodes.tiles))
         units = np.searchsorted(layout.ids, tiles)
         chunks = chunks_of(self._blocks, numba.get_num_threads())
-        target, self._copies = targets(
-            units, self._low, self._high, layout, nodes, width, chunks
-        )
+        target, self._copies = targets(units, self._low, self._high, layout, nodes, width, chunks)
         t_low, t_high = limits(self._low, self._high, nodes, self._kind)
         margin = np.zeros(3)
         margin[: self._dim] = MARGIN[self._dim]
@@ -219,7 +201,7 @@ class Part:
             x_next=np.empty_like(x),
             v=in_blocks(points["v"], order),
             F=F,
-            J_bar=in_blocks(points["J_bar"], order),
+            J_bar=in_blocks(points["J" if self._fbar is None else "J_bar"], order),
             mass=in_blocks(points["mass"], order, copied=False),
             V_0=in_blocks(points["V_0"], order, copied=False),
             state=in_blocks(np.hstack([np.empty((n, 0)), *state]), order),
@@ -324,7 +306,10 @@ class Part:
         self.rows = self._all_rows = self._all_sums = self._sums = np.empty((0, 0, LANES))
         del body["x_next"], body["L"], body["mass"], body["V_0"]
         points.assign({"v": out_of_blocks(body.pop("v"), order, n, (d,))})
-        points.assign({"J_bar": out_of_blocks(body.pop("J_bar"), order, n)})
+        J_bar = out_of_blocks(body.pop("J_bar"), order, n)
+        if self._fbar is not None:
+            points.assign({"J_bar": J_bar})
+        del J_bar
         if self._law.state:
             state = out_of_blocks(body.pop("state"), order, n, (self._law.n_state,))
             points.assign({k: self._law.state_field(state, k).copy() for k in self._law.state})
@@ -377,27 +362,20 @@ class Part:
         return f"point {ids[i]} {what} at {where} with J = {J[i]:g}"
 
 
-class Load:
-    """Points that carry forces and move with the grid.
+class Carried:
+    """Points without material that move with the grid, and may carry forces.
 
     Args:
-        points: boundary points with a field "force" ``(d,)`` [N]; they get "u" if it is missing.
+        points: boundary points with a field "u".
         kind: of grid functions.
-
-    Raises:
-        ValueError: for points without forces.
     """
 
     def __init__(self, points: MaterialPoints, kind: int) -> None:
-        """Check the field."""
+        """Make the kernels, which are compiled at first use."""
         dim = points.mesh.geometry.dim
-        if "force" not in points or points.field_shape("force") != (dim,):
-            raise ValueError(f"points of a load need a field 'force' of shape ({dim},) in N")
-        if "u" not in points:
-            points.add_field("u", (dim,))
         self.points = points
         self._kernels, self._kind = carriers(dim, kind), kind
-        self._half = half_size(points, kind)
+        self._half = half_size(points)
         self._x: Array | None = None
 
     def begin(self) -> None:
@@ -419,21 +397,18 @@ class Load:
         return out_of_blocks(self._x, self._order, len(self.points), self.points.x.shape[1:])
 
     def add_forces(
-        self, rows: Array, forces: Array, nodes: Nodes, ids: Integers, least_mass: float
+        self, force: Array, rows: Array, forces: Array, nodes: Nodes, ids: Integers
     ) -> int:
-        """Add the forces to those of the nodes ``(n_tiles, nodes, 3)``, where there is mass.
+        """Add forces ``(n, d)`` [N] to those of the nodes ``(n_tiles, nodes, 3)``.
 
         Returns:
             A point without any mass at its nodes; or -1.
         """
         return self._kernels.add_forces(
-            nodes, ids, self._half, self._x, self.points["force"], _flat(rows), least_mass,
-            forces.reshape(-1, 3),
+            nodes, ids, self._half, self._x, force, _flat(rows), forces.reshape(-1, 3)
         )  # fmt: skip
 
-    def follow(
-        self, rows: Array, nodes: Nodes, ids: Integers, least_mass: float, dt: float
-    ) -> tuple[int, bool]:
+    def follow(self, rows: Array, nodes: Nodes, ids: Integers, dt: float) -> tuple[int, bool]:
         """Move with the updated nodes.
 
         Returns:
@@ -442,7 +417,7 @@ class Load:
         """
         bad, strays = self._kernels.follow(
             nodes, ids, self._half, self._x, len(self.points), self._t_low, self._t_high,
-            _flat(rows), least_mass, dt,
+            _flat(rows), dt,
         )  # fmt: skip
         return int(bad), bool(strays)
 
@@ -466,27 +441,13 @@ def _flat(tiles: Array) -> Array:
     return tiles.reshape(-1, LANES)
 
 
-def half_size(points: MaterialPoints, kind: int) -> Array:
-    """Half of the points' size in units of cells, ``(3,)``; only uGIMP needs it (collective).
-
-    Points are taken for squares or cubes of the same size, those without volume for small.
-
-    Raises:
-        ValueError: for points that are larger than cells.
-    """
-    half = np.full(3, 1e-6)
-    n = points.size_global
-    if kind == GIMP and "V_0" in points and n > 0:
-        spacing = lattice_of(points.mesh).spacing
-        volume = points.mesh.comm.allreduce(float(points["V_0"].sum())) / n
-        size = volume ** (1 / len(spacing))
-        half[: len(spacing)] = 0.5 * size / spacing
-        if half.max() > 0.5 + 1e-9:
-            raise ValueError(
-                f"points of {size:g} m are larger than cells of {spacing} m, which uGIMP cannot "
-                "do: seed more points"
-            )
-    return np.minimum(half, 0.5)
+def half_size(points: MaterialPoints) -> Array:
+    """Half of the points' size in units of cells, ``(3,)``, which only uGIMP needs (collective)."""
+    half = np.full(3, 0.5)
+    if points.grid_functions is not None:
+        given = half_size_in_cells(points.mesh, *points.grid_functions)
+        half[: len(given)] = given
+    return half
 
 
 @numba.njit(cache=True, parallel=True)

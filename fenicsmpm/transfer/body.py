@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 
 class Body(NamedTuple):
-    """Working arrays over the points of a body, in blocks (see `fenicsmpm.explicit.stencils`).
+    """Working arrays over the points of a body, in blocks (see `fenicsmpm.basis.blocks`).
 
     Points that fill up the last block have neither mass nor volume.
 

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from fenicsmpm.explicit.stencils import OPTIONS
-from fenicsmpm.explicit.tiles import window
+from fenicsmpm.basis.blocks import OPTIONS
 from fenicsmpm.lanes import LANES, LINE_LANES, add_scaled, load, store, store_line, zero_line, zeros
+from fenicsmpm.transfer.tiles import window
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)

@@ -31,8 +31,8 @@ from fenicsmpm.basis.lines import (
     quadratic,
     quadratic_inside,
 )
-from fenicsmpm.explicit.tiles import ON_WALL, window
 from fenicsmpm.lanes import LANES, between, choose, load, store, store_integers, zeros
+from fenicsmpm.transfer.tiles import ON_WALL, window
 
 # Not cached: numba would not find again what is compiled for functions that were passed to it
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}

@@ -12,15 +12,11 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.grid import FORCE, MASS, VELOCITY, full_share
-from fenicsmpm.explicit.stencils import OPTIONS, stencils
-from fenicsmpm.explicit.tiles import ON_WALL, row_of
 from fenicsmpm.lanes import LANES
-
-# Nodes are light that have less than this share of the largest mass around a point. Where points
-# that are loaded have mass there are no such nodes: they would change the moment of a traction
-_LIGHT = 0.01
+from fenicsmpm.transfer.grid_rows import MASS, VELOCITY
+from fenicsmpm.transfer.tiles import ON_WALL, row_of
 
 _njit = numba.njit(**OPTIONS)
 
@@ -62,36 +58,12 @@ class Carriers(NamedTuple):
 
 @functools.cache
 def carriers(dim: int, kind: int) -> Carriers:
-    """Compile what points do that carry forces through the grid.
-
-    They lie on surfaces, where some nodes have little mass or none. Their full share of the force
-    would throw such nodes ahead, and the point with them; so they have less of the force and of the
-    motion, in proportion to their mass, and the others have more.
-    """
+    """Compile what points do that carry forces through the grid."""
     width, fill = WIDTH[kind], stencils(dim, kind, in_window=False)
     find, count, lower = node_rows(dim, kind), WIDTH[kind] ** dim, (0.0, 0.0, 0.0)
 
     @_njit
-    def shares(i, nodes, ids, base, w, rows, least_mass, places, values):
-        """Nodes of the i-th point of a block and their shares, whose sum is one.
-
-        Returns:
-            Whether there is mass.
-        """
-        find(i, base, w, nodes, ids, places, values)
-        largest, total = least_mass, 0.0
-        for n in range(count):
-            if places[n] >= 0:
-                largest = max(largest, rows[places[n], MASS])
-        for n in range(count):
-            m = rows[places[n], MASS] if places[n] >= 0 else 0.0
-            values[n] *= full_share(m, largest, _LIGHT)
-            total += values[n]
-        values /= total if total > 0.0 else 1.0
-        return total > 0.0
-
-    @_njit
-    def add_forces(nodes, ids, half, x, force, rows, least_mass, forces):
+    def add_forces(nodes, ids, half, x, force, rows, forces):
         """External forces of points, ``(n, d)`` [N], to those of all nodes, ``(n_nodes, 3)``.
 
         Positions x are in blocks, rows have the mass of all points.
@@ -107,16 +79,19 @@ def carriers(dim: int, kind: int) -> Carriers:
             i = p % LANES
             if i == 0:
                 fill(x, p // LANES, nodes, half, lower, base, w, d)
-            if not shares(i, nodes, ids, base, w, rows, least_mass, places, values):
-                bad = p
+            find(i, base, w, nodes, ids, places, values)
+            mass = 0.0
             for n in range(count):
-                if values[n] != 0.0:
+                if places[n] >= 0:
+                    mass += values[n] * rows[places[n], MASS]
                     for k in range(dim):
                         forces[places[n], k] += values[n] * force[p, k]
+            if not mass > 0.0:
+                bad = p
         return bad
 
     @_njit
-    def follow(nodes, ids, half, x, points, t_low, t_high, rows, least_mass, dt):
+    def follow(nodes, ids, half, x, points, t_low, t_high, rows, dt):
         """Move points, in blocks, with the grid (eq. 17).
 
         Returns:
@@ -131,10 +106,10 @@ def carriers(dim: int, kind: int) -> Carriers:
             block, i = p // LANES, p % LANES
             if i == 0:
                 fill(x, block, nodes, half, lower, base, w, d)
-            shares(i, nodes, ids, base, w, rows, least_mass, places, values)
+            find(i, base, w, nodes, ids, places, values)
             for k in range(dim):
                 for n in range(count):
-                    if values[n] != 0.0:
+                    if places[n] >= 0:
                         x[block * dim + k, i] += dt * values[n] * rows[places[n], VELOCITY + k]
                 t = (x[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
                 if not -ON_WALL <= t <= nodes.shape[k] - 1 + ON_WALL:
