@@ -18,7 +18,7 @@ from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulat
 from fenicsmpm.diagnostics import mean_stress, momentum
 from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law, NeoHookean, VonMises, compiled
-from fenicsmpm.transfer.tiles import make_nodes
+from fenicsmpm.transfer.tiles import make_nodes, window
 
 COMM = MPI.COMM_WORLD
 RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
@@ -36,25 +36,28 @@ def box(lower, upper, law=RUBBER, velocity=None, comm=COMM, n=10, V=None):
     return body, V
 
 
+@pytest.mark.parametrize("in_window", [False, True])
 @pytest.mark.parametrize("kind", [LINEAR, QUADRATIC, CUBIC, GIMP])
-def test_functions_at_walls_are_those_of_the_basis(kind):
+def test_functions_at_walls_are_those_of_the_basis(kind, in_window):
     """Kernels have functions for eight points of their own."""
     cells, half, width = 6, 0.3, WIDTH[kind]
     t = np.concatenate([np.linspace(0, cells, 121), [0.2, 5.8, 0.5, 5.5, 1e-12, cells - 1e-12]])
     x = np.column_stack([t, t[::-1]])
     nodes = make_nodes(np.zeros(2), np.ones(2), np.array([cells, cells]))
-    fill, rows = stencils(2, kind, in_window=False), in_blocks(x, plain_order(len(x)))
+    fill, rows = stencils(2, kind, in_window), in_blocks(x, plain_order(len(x)))
+    lower = np.array([-2.0, -1.0, 0.0]) if in_window else np.zeros(3)
+    far = window(2, width).far if in_window else cells + 1
     base, w, d = np.empty(LANES, np.int64), np.empty((3 * width, LANES)), np.empty((12, LANES))
     line = np.zeros((3, 4))
     for p in range(len(x)):
-        fill(rows, p // LANES, nodes, np.full(3, half), (0.0, 0.0, 0.0), base, w, d)
+        fill(rows, p // LANES, nodes, np.full(3, half), lower, base, w, d)
         i, firsts = p % LANES, []
         for k in range(2):
             cell = min(int(x[p, k]), cells - 1)
             first = tabulate_line(kind, cell, x[p, k] - cell, cells, half, line)
             expected = np.zeros((2, cells + 3))
             expected[:, first + 1 : first + 1 + width] = line[:2, :width]
-            firsts.append(base[i] // (cells + 1) if k == 0 else base[i] % (cells + 1))
+            firsts.append(int(base[i] // far if k == 0 else base[i] % far) + int(lower[k]))
             found = np.zeros((2, cells + 3))
             there = slice(firsts[k] + 1, firsts[k] + 1 + width)
             found[0, there] = w[k * width : (k + 1) * width, i]

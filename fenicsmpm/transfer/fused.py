@@ -265,11 +265,12 @@ def transfers(
                     x_next = load(body.x, vector + j) + dt * velocity
                     t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
                     cells = nodes.shape[j] - 1
-                    good &= between(t, -ON_WALL, cells + ON_WALL)
                     stays &= between(t, units.t_low[unit, j], units.t_high[unit, j])
-                    x_next = choose(ON_WALL**2 - t * t, nodes.origin[j], x_next)
-                    beyond = t - cells
-                    x_next = choose(ON_WALL**2 - beyond * beyond, nodes.upper[j], x_next)
+                    if between(t, -ON_WALL, cells + ON_WALL):
+                        x_next = choose(ON_WALL - t, nodes.origin[j], x_next)
+                        x_next = choose(t - (cells - ON_WALL), nodes.upper[j], x_next)
+                    else:
+                        good = False
                     in_flip = load(body.v, vector + j) + increment
                     v_next = flip * in_flip + (1.0 - flip) * velocity
                     store(body.x_next, vector + j, x_next)
