@@ -228,11 +228,18 @@ class ExplicitMPM:
     @property
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points, for checkpoints."""
-        return self._way.memory
+        ways = {
+            f"box {i} moved {k}": float(way)
+            for i, box in enumerate(self.rigid)
+            for k, way in enumerate(box.moved)
+        }
+        return {**self._way.memory, **ways}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         self._way.memory = values
+        for i, box in enumerate(self.rigid):
+            box.moved = np.array([values[f"box {i} moved {k}"] for k in range(len(box.moved))])
 
     # --- time step -----------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ What the fused kernels on lattices do in fewer passes over the points is said he
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -30,6 +30,7 @@ from fenicsmpm.points.exits import move
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.transfer import p2g
+from fenicsmpm.transfer.contact import keep_points_out, push_points
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS, LightNodes
 
 if TYPE_CHECKING:
@@ -192,12 +193,15 @@ class ByForms:
             How many points left the mesh.
         """
         moving = [*self._sim.bodies, *self._sim.carried]
+        ways = [box.moved for box in self._sim.rigid]
         before = [(points, points.snapshot(copy=False), points.size_global) for points in moving]
         try:
             return sum(self._step() for _ in range(steps))
         except BaseException:
             for points, arrays, size_global in before:
                 points.restore(arrays, size_global)
+            for box, way in zip(self._sim.rigid, ways, strict=True):
+                box.moved = way
             raise
 
     def _step(self) -> int:
@@ -208,11 +212,14 @@ class ByForms:
         with clock("P2G"):
             self._points_to_grid()
         with clock("forces"):
+            velocities = [box.velocity_at(sim.time) for box in sim.rigid]
             self._forces()
+            self._push(velocities)
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):
             new = {body.points: body.moved() for body in self._bodies}
+            self._hold_back(velocities, new)
         if self._maps_back:
             with clock("P2G"):
                 self._map_back(new)
@@ -270,6 +277,40 @@ class ByForms:
             self._light_nodes.relieve(self.mass.x.array, nodes, light)
             total -= force.array
         force.array[:] = total
+
+    def _push(self, velocities: Sequence[Array]) -> None:
+        """Contact forces of rigid boxes, to the nodes."""
+        sim, messages = self._sim, []
+        for box, velocity in zip(sim.rigid, velocities, strict=True):
+            box.force = np.zeros_like(box.force)
+            for body in sim.bodies:
+                forces, bad = push_points(
+                    body.x, body["v"], body["mass"], box.lower, box.upper, velocity, box.reach,
+                    box.stiffness, box.friction, sim.dt,
+                )  # fmt: skip
+                if bad >= 0:
+                    messages.append(f"a point is inside of the box {box.lower} ... {box.upper}")
+                box.force += forces.sum(axis=0)
+                self._force.array[:] += p2g(body, forces, self._V).array
+        if sim.rigid:
+            sim.raise_if(messages)
+
+    def _hold_back(
+        self, velocities: Sequence[Array], new: Mapping[MaterialPoints, dict[str, Array]]
+    ) -> None:
+        """Move rigid boxes, and keep points out of them."""
+        sim, comm = self._sim, self._V.mesh.comm
+        for box, velocity in zip(sim.rigid, velocities, strict=True):
+            box.moved = box.moved + sim.dt * velocity
+            for body, fields in new.items():
+                x_next = body.x + (fields["u"] - body["u"])
+                free = x_next.copy()
+                box.force += keep_points_out(
+                    x_next, fields["v"], body["mass"], box.lower, box.upper, velocity, box.reach,
+                    sim.dt,
+                )  # fmt: skip
+                fields["u"] += x_next - free
+            box.force = comm.allreduce(box.force)
 
     def _move_nodes(self) -> None:
         """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""

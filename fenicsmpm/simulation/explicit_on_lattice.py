@@ -190,19 +190,12 @@ class OnLattice:
 
     @property
     def memory(self) -> dict[str, float]:
-        """Steps since points were sorted, and the ways of rigid boxes."""
-        ways = {
-            f"box {i} moved {k}": float(way)
-            for i, box in enumerate(self._sim.rigid)
-            for k, way in enumerate(box.moved)
-        }
-        return {"unsorted": float(self._unsorted), **ways}
+        """Steps since points were sorted."""
+        return {"unsorted": float(self._unsorted)}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         self._unsorted = int(values["unsorted"])
-        for i, box in enumerate(self._sim.rigid):
-            box.moved = np.array([values[f"box {i} moved {k}"] for k in range(len(box.moved))])
 
     def __repr__(self) -> str:
         """Which part of the residual goes which way."""
