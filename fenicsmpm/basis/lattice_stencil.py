@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import weakref
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import basix
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 KINDS = {"linear": LINEAR, "quadratic": QUADRATIC, "cubic": CUBIC, "gimp": GIMP}
 # Points that a thread does with one piece of work memory
 _CHUNK = 1024
+# Groups whose nodes are looked for at a time
+_BLOCK = 1 << 10
 
 
 class LatticeStencil:
@@ -79,27 +82,50 @@ class LatticeStencil:
     def _find_groups(self) -> npt.NDArray[np.int32]:
         """``(n_groups, n_nodes)`` local nodes of the mesh that each group sees, -1 for not here."""
         lattice = self._lattice
-        owned = lattice.numbers(np.arange(lattice.geometry.num_owned, dtype=np.int32))
+        self._first = self._find_first()
+        steps = np.array(list(itertools.product(range(self._width), repeat=self._dim)))
+        result = np.empty((len(self._first), len(steps)), dtype=np.int32)
+        for some in self._blocks():
+            numbers = self._first[some, None, :] + steps
+            result[some] = lattice.nodes(np.clip(numbers, 0, lattice.shape))
+        return result
+
+    def _find_first(self) -> npt.NDArray[np.int32]:
+        """``(n_groups, d)`` number of the lowest node that each group sees."""
+        lattice, dim = self._lattice, self._dim
+        count = lattice.geometry.num_owned
         if self.groups_are_cells:
-            first = owned - int(self._kind == CUBIC)
-            self._group_of = np.arange(len(owned), dtype=np.int32)[:, None]
-        else:
-            ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))
-            boxes = (owned[:, None, :] + ends).reshape(-1, self._dim)
-            nodes = lattice.nodes(boxes)
-            _, some, group = np.unique(nodes, return_index=True, return_inverse=True)
-            first = boxes[some] - 1
-            self._group_of = group.reshape(-1, 2**self._dim).astype(np.int32)
-        steps = itertools.product(range(self._width), repeat=self._dim)
-        self._first = first
-        columns = [lattice.nodes(np.clip(first + step, 0, lattice.shape)) for step in steps]
-        return np.ascontiguousarray(np.stack(columns, axis=1))
+            first = np.empty((count, dim), dtype=np.int32)
+            for cells in lattice.geometry.blocks(count):
+                first[cells] = lattice.numbers(cells) - int(self._kind == CUBIC)
+            return first
+        ends = np.array(list(itertools.product((0, 1), repeat=dim)))
+        # groups around nodes, by their local numbers, which this rank's cells have in their corners
+        n = len(self.points.mesh.geometry.x)
+        at_node, group = np.empty((n, dim), dtype=np.int32), np.full(n, -1, dtype=np.int32)
+        self._group_of = np.empty((count, 2**dim), dtype=np.int32)
+        for cells in lattice.geometry.blocks(count):
+            numbers = lattice.numbers(cells)[:, None, :] + ends
+            nodes = lattice.nodes(numbers)
+            at_node[nodes], group[nodes], self._group_of[cells] = numbers, 0, nodes
+        seen = np.flatnonzero(group == 0)
+        group[seen] = np.arange(len(seen))
+        for cells in lattice.geometry.blocks(count):
+            self._group_of[cells] = group[self._group_of[cells]]
+        return at_node[seen] - 1
+
+    def _blocks(self) -> Iterator[slice]:
+        """All groups, some at a time."""
+        for start in range(0, len(self._first), _BLOCK):
+            yield slice(start, start + _BLOCK)
 
     def _unseen(self) -> ValueError | None:
-        steps = itertools.product(range(self._width - 1), repeat=self._dim)
+        steps = np.array(list(itertools.product(range(self._width - 1), repeat=self._dim)))
         last = self._lattice.shape - 1
-        cells = [self._lattice.cells(np.clip(self._first + step, 0, last)) for step in steps]
-        if np.all(self._nodes >= 0) and all(np.all(c >= 0) for c in cells):
+        cells = (self._first[some, None, :] + steps for some in self._blocks())
+        if np.all(self._nodes >= 0) and all(
+            np.all(self._lattice.cells(np.clip(numbers, 0, last)) >= 0) for numbers in cells
+        ):
             return None
         return ValueError(
             f"points with {self.name} functions see nodes of cells that touch theirs in a corner, "
