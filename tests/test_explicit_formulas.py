@@ -57,7 +57,8 @@ def test_loads_and_boxes_that_depend_on_time():
     load.add_field("force", (2,))
     share = load["mass"] / body["mass"].sum()
 
-    def data(time):
+    def data(time, end):
+        assert end == pytest.approx(time + dt)
         times.append(time)
         load["force"] = np.outer(share, (0.0, 3.0 + 1e3 * time))
 

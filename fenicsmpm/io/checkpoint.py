@@ -53,6 +53,9 @@ class Simulation(Protocol):
     bodies: list[MaterialPoints]
     carried: list[MaterialPoints]
 
+    def settle(self) -> None:
+        """Have all points up to date, so that a restart goes on as the simulation does."""
+
 
 @dataclass
 class _PointSet:
@@ -87,6 +90,7 @@ def save(path: str | Path, sim: Simulation) -> None:
     """
     path = Path(path)
     comm = _mesh(sim).comm
+    sim.settle()
     state = _gather(sim)
 
     def write() -> None:

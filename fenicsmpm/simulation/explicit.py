@@ -142,9 +142,10 @@ class ExplicitMPM:
         self.seconds = Stopwatch()
         self._cfl, self._given_dt, self._warned = cfl, dt, False
         self._h = _smallest_height(V.mesh)
-        self.dt = self._step_length()
         way = OnLattice if self._is_for_kernels() else ByForms
+        self.dt = dt or 1.0
         self._way: OnLattice | ByForms = way(self, updates or {})
+        self.dt = self._step_length()
         self.mass, self.acceleration = self._way.mass, self._way.acceleration
 
     def _is_for_kernels(self) -> bool:
@@ -166,7 +167,7 @@ class ExplicitMPM:
         Raises:
             UnstableError: a point is inverted, not finite or outside; all are as before.
         """
-        removed = self._advance(1, self._step_length())
+        removed = self._advance(1, self._step_length(), may_stay=True)
         return Step(self.number, self.time, self.dt, removed=removed)
 
     def run(self, until: float, interval: float | None = None) -> Iterator[Step]:
@@ -177,11 +178,12 @@ class ExplicitMPM:
             interval: time between the steps that are yielded [s]; None for each step.
 
         Yields:
-            Steps at whose end all points and fields are up to date.
+            Steps at whose end all points and fields are up to date, or will be so as soon as
+            somebody looks at them.
 
         Raises:
             UnstableError: a point is inverted, not finite or outside; all points are as they were
-                when ``run`` yielded last, or up to 100 steps before, which is at ``time``.
+                when somebody looked at them last, or up to 100 steps before, which is at ``time``.
             ValueError: for an end that is not finite or an interval that is not positive.
         """
         if not math.isfinite(until) or not (interval is None or interval > 0):
@@ -195,22 +197,26 @@ class ExplicitMPM:
                 left = stop - self.time
                 steps = max(1, math.ceil(left / self._step_length() - 1e-9))
                 count = min(steps, 1 if interval is None else self._way.longest)
-                removed += self._advance(count, left / steps)
+                removed += self._advance(count, left / steps, may_stay=interval is None)
                 if interval is None:
                     break
             else:
                 self.time = stop  # without the round-off of the sum of steps
             yield Step(self.number, self.time, self.dt, removed=removed)
 
-    def _advance(self, steps: int, dt: float) -> int:
+    def _advance(self, steps: int, dt: float, may_stay: bool) -> int:
         """Do some steps; how many points left the mesh meanwhile."""
         before = self.time, self.number
         self.dt = dt
         try:
-            return self._way.advance(steps)
+            return self._way.advance(steps, may_stay)
         except BaseException:
-            self.time, self.number = before
+            self.time, self.number = min(before, (self.time, self.number))
             raise
+
+    def settle(self) -> None:
+        """Bring all points up to date, so that a restart goes on as this run does (collective)."""
+        self._way.settle()
 
     def end_of_step(self) -> None:
         """Count a step."""
@@ -256,6 +262,8 @@ class ExplicitMPM:
         return self._h / fastest if fastest > 0 else math.inf
 
     def _step_length(self) -> float:
+        if self._way.is_open:
+            return self._longest_dt
         if self._given_dt is None and len(self.laws) < len(self.bodies):
             raise ValueError(
                 "no law at points says how fast waves are in a body: give the time step dt"
@@ -267,6 +275,7 @@ class ExplicitMPM:
             logger.warning(
                 "the time step of %g s is above the limit of stability, about %g s", dt, stable
             )
+        self._longest_dt = dt
         return dt
 
     def raise_if(self, messages: list[str]) -> None:

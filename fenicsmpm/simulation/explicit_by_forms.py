@@ -138,6 +138,7 @@ class ByForms:
     """
 
     longest = 1
+    is_open = False
 
     def __init__(
         self, sim: ExplicitMPM, updates: Mapping[MaterialPoints, Mapping[str, Any]]
@@ -186,8 +187,15 @@ class ByForms:
         }
         self._light_nodes = LightNodes(V)
 
-    def advance(self, steps: int) -> int:
+    def settle(self) -> None:
+        """Nothing: all points are up to date."""
+
+    def advance(self, steps: int, may_stay: bool) -> int:
         """Do steps; if one fails, all points are as before (collective).
+
+        Args:
+            steps: how many.
+            may_stay: of no consequence, since points are always up to date.
 
         Returns:
             How many points left the mesh.

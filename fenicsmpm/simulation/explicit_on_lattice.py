@@ -15,6 +15,7 @@ from dolfinx import fem, la
 from fenicsmpm import forms
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.location import locator
 from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
 
@@ -38,6 +39,7 @@ class OnLattice:
         mass: of the nodes in the last step [kg].
         acceleration: of the nodes in the last step [m/s^2].
         longest: how many steps may be done before points are up to date.
+        is_open: whether points are in working arrays.
     """
 
     def __init__(
@@ -70,43 +72,107 @@ class OnLattice:
         # forms and updates take points where they are
         is_fused = self._at_bodies is None and self._elsewhere is None and not self._updates
         self.longest = STEPS_OF_A_BLOCK if is_fused else 1
-        self._unsorted = 0
+        self._unsorted, self._count, self.is_open = 0, 0, False
+        self._before: list[Any] = []
 
-    def advance(self, steps: int) -> int:
-        """Do steps; if one fails, all points are as before (collective).
+    def advance(self, steps: int, may_stay: bool) -> int:
+        """Do steps; if one fails, all points are as they were at the beginning of the block.
+
+        Collective.
+
+        Args:
+            steps: how many.
+            may_stay: whether points may stay in working arrays until somebody looks at them.
 
         Returns:
             How many points left the mesh.
         """
-        sim, engine, clock = self._sim, self._engine, self._sim.seconds
-        ways = [box.moved for box in sim.rigid]
+        sim, clock = self._sim, self._sim.seconds
+        stays = may_stay and self.longest > 1
+        if self.is_open and self._has_changed():
+            self.settle()
         try:
-            with clock("begin"):
-                engine.begin(sim.laws, sim.bcs)
+            if not self.is_open:
+                with clock("begin"):
+                    self._begin()
             for k in range(steps):
-                self._step(again=k < steps - 1)
+                is_last = k == steps - 1
+                self._step(again=stays or not is_last, keep=is_last)
                 sim.end_of_step()
-            faults = [(part, part.bad_stress()) for part in engine.parts]
+                self._unsorted += 1
+                self._count += 1
+            faults = [(part, part.bad_stress()) for part in self._engine.parts]
             sim.raise_if([part.describe(block) for part, block in faults if block >= 0])
             new = {points: update.evaluate() for points, update in self._updates.items()}
         except BaseException:
-            for box, way in zip(sim.rigid, ways, strict=True):
-                box.moved = way
+            self._go_back()
             raise
         with clock("convect"):
             for points, fields in new.items():
                 points.assign(fields)
-            self._unsorted += steps
-            sort = self._unsorted >= STEPS_OF_A_BLOCK
-            engine.settle(sort)
-            if sort:
-                self._unsorted = 0
+            if stays and self._count < STEPS_OF_A_BLOCK and self._are_at_home():
+                self._engine.defer()
+                for carried in self._engine.carried:
+                    carried.settle()
+            else:
+                self.settle()
         return 0
 
-    def _step(self, again: bool) -> None:
+    def _begin(self) -> None:
+        """Begin a block of steps, and remember where."""
+        sim = self._sim
+        points = [*sim.bodies, *sim.carried]
+        self._before = [(p, p.snapshot(copy=False), p.size_global) for p in points]
+        self._mark = sim.time, sim.number, [box.moved for box in sim.rigid], self._unsorted
+        self._laws, self._bcs = dict(sim.laws), list(sim.bcs)
+        self._engine.begin(sim.laws, sim.bcs)
+        self.is_open, self._count = True, 0
+
+    def _has_changed(self) -> bool:
+        """Whether points were looked at, or laws or conditions replaced (collective)."""
+        sim = self._sim
+        changed = self._engine.is_looked_at or self._laws != sim.laws or self._bcs != sim.bcs
+        return sim.velocity.function_space.mesh.comm.allreduce(changed, MPI.LOR)
+
+    def _are_at_home(self) -> bool:
+        """Whether each point is in a cell that its rank owns (collective)."""
+        mesh = self._sim.velocity.function_space.mesh
+        if mesh.comm.size == 1:
+            return True
+        place = locator(mesh)
+        home = True
+        for part in (*self._engine.parts, *self._engine.carried):
+            cell, xi = place.locate(part.positions, owned=True)
+            home &= bool(np.all(place.is_sure(cell, xi)))
+        return mesh.comm.allreduce(home, MPI.LAND)
+
+    def _go_back(self) -> None:
+        """To the beginning of the block, without communication."""
+        sim = self._sim
+        self._engine.drop()
+        self.is_open = False
+        for points, arrays, size_global in self._before:
+            points.restore(arrays, size_global)
+        sim.time, sim.number, ways, self._unsorted = self._mark
+        for box, way in zip(sim.rigid, ways, strict=True):
+            box.moved = way
+
+    def settle(self) -> None:
+        """Bring all points up to date, and end the block of steps (collective)."""
+        if not self.is_open:
+            return
+        sort = self._unsorted >= STEPS_OF_A_BLOCK
+        self._engine.settle(sort)
+        self._before = []
+        self.is_open = False
+        if sort:
+            self._unsorted = 0
+
+    def _step(self, again: bool, keep: bool) -> None:
         sim, engine, dt, clock = self._sim, self._engine, self._sim.dt, self._sim.seconds
         if sim.data is not None:
             sim.data(sim.time, sim.time + dt)
+        if sim.data is not None or keep:
             engine.read_supports()
         velocities = [box.velocity_at(sim.time) for box in sim.rigid]
         messages = []
@@ -127,11 +193,11 @@ class OnLattice:
                 messages += engine.hold_back(box, velocity, dt)
         with clock("grid"):
             anew = self._agree(messages, reaction)
-            if not again:
+            if keep:
                 self._write_nodes()
             engine.average()
         with clock("stress and P2G"):
-            engine.finish(again, anew)
+            engine.finish(again, keep, anew)
 
     def _forces(self) -> list[str]:
         """Add what is neither internal force nor gravity; what is wrong, on this rank."""

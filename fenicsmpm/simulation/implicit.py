@@ -301,6 +301,9 @@ class ImplicitMPM:
             self.next_dt = min(2 * self.next_dt, self._dt)
             yield step
 
+    def settle(self) -> None:
+        """Nothing: all points are up to date after each step."""
+
     @property
     def method(self) -> str:
         """Name of the time scheme, for checkpoints."""

@@ -134,6 +134,24 @@ class LatticeEngine:
                 sums.free()
         self._sums = self._sum_forces = None
 
+    def defer(self) -> None:
+        """Have the points of bodies ask for what has changed when somebody looks at it."""
+        for part in self.parts:
+            part.defer()
+
+    @property
+    def is_looked_at(self) -> bool:
+        """Whether somebody has looked at what was deferred, on this rank."""
+        return any(part.is_looked_at for part in self.parts)
+
+    def drop(self) -> None:
+        """Forget a block of steps; the points stay as they are."""
+        self._free()
+        self.rows = self._forces = np.empty((0, 0, 0))
+        for part in self.parts:
+            part.free()
+            part.drop()
+
     def settle(self, sort: bool) -> None:
         """Give the points what has changed, and bring their cells up to date (collective).
 
@@ -304,15 +322,16 @@ class LatticeEngine:
         for part in self.parts:
             part.average()
 
-    def finish(self, again: bool, anew: bool) -> None:
-        """Stresses and new positions; the points to the nodes, if another step follows.
+    def finish(self, again: bool, keep: bool, anew: bool) -> None:
+        """Stresses and new positions; the points to the nodes, if another step may follow.
 
         Args:
-            again: whether another step follows in this block.
+            again: whether another step may follow in this block.
+            keep: whether somebody may look at the stresses of this step.
             anew: tiles must be laid anew, because there are ``strays`` on any rank; collective.
         """
         for part in self.parts:
-            part.finish(again and not anew)
+            part.finish(again and not anew, keep or (again and anew))
         if again and anew:
             self._sort()
             self._lay()

@@ -209,6 +209,8 @@ class Part:
             parameters=np.asarray(law.parameters),
         )
         self._sigma = in_blocks(points["sigma"], order)
+        self._reference = points.x - points["u"]
+        self._version = points.version
 
     def scatter(self) -> None:
         """Add the points with the stresses that are known to the nodes."""
@@ -276,11 +278,15 @@ class Part:
         self._sum_averages.add(self._sums)
         grid.average_nodes(self.rows, self._sums)
 
-    def finish(self, again: bool) -> None:
-        """Stresses and new positions; if ``again``, add the points to the nodes."""
+    def finish(self, again: bool, keep: bool) -> None:
+        """Stresses and new positions.
+
+        Args:
+            again: whether to add the points to the nodes, for another step.
+            keep: whether to keep the stresses.
+        """
         body, average = self._working, self._fbar is not None
-        if not again:
-            self._sigma = empty_rows(9 * len(body.mass), LANES)
+        self._sigma = empty_rows(9 * len(body.mass) if keep else 0, LANES)
         self._kernels.finish(
             self._units, self._nodes, self._half, body, average, self._all_sums.ravel(), again,
             self._sigma, _flat(self._all_rows),
@@ -289,45 +295,97 @@ class Part:
             grid.merge(self._all_rows, self._copies)
         self._body = body._replace(x=body.x_next, x_next=body.x)
 
+    @property
+    def positions(self) -> Array:
+        """Where the points are, ``(n, d)`` [m]."""
+        return self.provide("x")["x"]
+
     def bad_stress(self) -> int:
         """A block with a stress that is not finite after the last step; or -1."""
         bad = np.flatnonzero(~np.isfinite(self._sigma).all(axis=1))
         return int(bad[0] // 9) if len(bad) else -1
 
-    def settle(self, sort: bool) -> None:
-        """Give the points what has changed, and bring their cells up to date (collective).
+    @property
+    def changing(self) -> list[str]:
+        """Fields that steps change."""
+        averaged = [] if self._fbar is None else ["J_bar"]
+        return ["x", "u", "v", "F", "J", "weight", "sigma", *averaged, *self._law.state]
 
-        If ``sort``, points with the same nodes come to stand one after the other.
-        """
-        points, d, n, order = self.points, self._dim, len(self.points), self._order
-        # one after the other, each working array gone before the next: this is where memory peaks
-        body, self._body = self._working._asdict(), None
-        self.free()
-        self.rows = self._all_rows = self._all_sums = self._sums = np.empty((0, 0, LANES))
-        del body["x_next"], body["L"], body["mass"], body["V_0"]
-        points.assign({"v": out_of_blocks(body.pop("v"), order, n, (d,))})
-        J_bar = out_of_blocks(body.pop("J_bar"), order, n)
-        if self._fbar is not None:
-            points.assign({"J_bar": J_bar})
-        del J_bar
-        if self._law.state:
-            state = out_of_blocks(body.pop("state"), order, n, (self._law.n_state,))
-            points.assign({k: self._law.state_field(state, k).copy() for k in self._law.state})
-            del state
-        points.assign({"sigma": out_of_blocks(self._sigma, order, n, (3, 3))})
-        self._sigma = np.empty((0, LANES))
-        F = out_of_blocks(body.pop("F"), order, n, (d, d))
+    def provide(self, name: str) -> dict[str, Array]:
+        """New arrays of a field that steps change, and of those that come with it."""
+        body, n, d, order = self._working, len(self.points), self._dim, self._order
+        if name == "x":
+            return {"x": out_of_blocks(body.x, order, n, (d,))}
+        if name == "u":
+            return {"u": out_of_blocks(body.x, order, n, (d,)) - self._reference}
+        if name == "v":
+            return {"v": out_of_blocks(body.v, order, n, (d,))}
+        if name == "J_bar":
+            return {"J_bar": out_of_blocks(body.J_bar, order, n)}
+        if name == "sigma":
+            return {"sigma": out_of_blocks(self._sigma, order, n, (3, 3))}
+        if name in self._law.state:
+            state = out_of_blocks(body.state, order, n, (self._law.n_state,))
+            return {k: self._law.state_field(state, k).copy() for k in self._law.state}
+        F = out_of_blocks(body.F, order, n, (d, d))
         if d == 2:
             F = np.pad(F, ((0, 0), (0, 1), (0, 1)))
             F[:, 2, 2] = 1.0
         J = determinants(F)
-        points.assign({"F": F, "J": J, "weight": J * points["V_0"]})
-        x = out_of_blocks(body.pop("x"), order, n, (d,))
-        points.assign({"u": points["u"] + (x - points.x)})
-        points.move(x)
+        return {"F": F, "J": J, "weight": J * self.points["V_0"]}
+
+    def defer(self) -> None:
+        """Have the points ask for what has changed when somebody looks at it."""
+        self.points.defer(self.changing, self.provide)
+        self._version = self.points.version
+
+    @property
+    def is_looked_at(self) -> bool:
+        """Whether somebody has looked at what was deferred, or has changed the set of points."""
+        points = self.points
+        return points.version != self._version or not points.present().keys().isdisjoint(
+            self.changing
+        )
+
+    def settle(self, sort: bool) -> None:
+        """Give the points what has changed, and bring their cells up to date (collective).
+
+        What somebody has written since fields were deferred stays.
+
+        Args:
+            sort: whether points with the same nodes are to stand one after the other.
+        """
+        points = self.points
+        self.free()
+        self.rows = self._all_rows = self._all_sums = self._sums = np.empty((0, 0, LANES))
+        if points.version == self._version:
+            self._give_back()
+        self.drop()
         if sort:
             width = WIDTH[self._kind]
             points.sort(sort_keys(np.ascontiguousarray(points.x), self._nodes, width)[0])
+
+    def _give_back(self) -> None:
+        points, written = self.points, self.points.changed
+        # one after the other, each working array gone before the next: this is where memory peaks
+        working = {
+            "v": "v", "sigma": "", "J_bar": "J_bar", **dict.fromkeys(self._law.state, "state"),
+            "F": "F", "u": "x_next", "x": "x",
+        }  # fmt: skip
+        done: set[str] = set()
+        x = points.x
+        for name, rows in working.items():
+            if name in done or name not in self.changing:
+                continue
+            arrays = self.provide(name)
+            done |= set(arrays)
+            x = arrays.pop("x", x)
+            points.assign({k: a for k, a in arrays.items() if k not in written})
+            if rows:
+                self._body = self._working._replace(**{rows: np.empty((0, LANES))})
+            else:
+                self._sigma = np.empty((0, LANES))
+        points.move(x)
 
     def describe(self, block: int) -> str:
         """What is wrong with a point of a block, and where it is."""

@@ -345,7 +345,11 @@ def transfers(
 
     @_njit
     def finish(chunk, units, nodes, half, body, average, averages, again, sigma, rows):
-        """Stresses by the averaged J: to the nodes for the next step, or at last to ``sigma``."""
+        """Stresses by the averaged J: to the nodes for the next step, and to ``sigma`` if wanted.
+
+        They are wanted if there is room for them in ``sigma (n_blocks * 9, 8)``.
+        """
+        is_kept = len(sigma) > 0
         base = np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         F_bar, rate, stress = scratch_rows(9, LANES), scratch_rows(9, LANES), scratch_rows(9, LANES)
@@ -387,7 +391,7 @@ def transfers(
                     fill(body.x_next, block, nodes, half, lower, base, w, d)
                     for i in range(LANES):
                         add_to_nodes(i, base, w, d, lines, scratch)
-                else:
+                if is_kept:
                     for k in range(9):
                         store(sigma, 9 * block + k, load(stress, k))
             if again:
