@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm import _compat
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lagrange import is_linear
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
@@ -268,13 +269,13 @@ def _leaves(element: Any) -> list[Any]:
     return [element]
 
 
-@numba.njit(cache=True)
+@njit
 def _position(x, lower, scale):  # type: ignore[no-untyped-def]
     """Position in a cell from 0 to 1, of points that are in it up to round-off."""
     return min(max((x - lower) * scale, 0.0), 1.0)
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _find_boxes(x, cell, lower, scale, group_of, group):  # type: ignore[no-untyped-def]
     """Group of each point from those of the quarters (eighths) of its cell."""
     for p in numba.prange(len(x)):
@@ -286,7 +287,7 @@ def _find_boxes(x, cell, lower, scale, group_of, group):  # type: ignore[no-unty
         group[p] = group_of[c, part]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _tabulate(  # type: ignore[no-untyped-def]
     kind, x, cell, order, lower, index, shape, scale, half, width, rows, table
 ):
@@ -321,7 +322,7 @@ def _tabulate(  # type: ignore[no-untyped-def]
                             b += 1
 
 
-@numba.njit(cache=True)
+@njit
 def _mark_cells(values, offsets, corners, least, seen):  # type: ignore[no-untyped-def]
     """Mark cells ``seen (n_groups, n_cells)`` all of whose corners are seen by a point."""
     for g in range(len(offsets) - 1):

@@ -9,9 +9,9 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
 from fenicsmpm.lanes import LANES
@@ -20,7 +20,7 @@ from fenicsmpm.lanes import LANES
 # that are loaded have mass there are no such nodes: they would change the moment of a traction
 _LIGHT = 0.01
 
-_njit = numba.njit(**OPTIONS)
+_njit = njit(**OPTIONS)
 
 
 @functools.cache

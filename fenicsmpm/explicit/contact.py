@@ -24,12 +24,13 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit.carriers import to_nodes
 from fenicsmpm.explicit.stencils import OPTIONS, stencils
 from fenicsmpm.lanes import LANES
 
-_njit = numba.njit(**OPTIONS)
+_njit = njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
 # Share of the reach that is kept in any case

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lattice import Lattice
 from fenicsmpm.lanes import LANES, LINE_LANES, prefetch
 from fenicsmpm.solvers.checks import check_bcs
@@ -68,7 +69,7 @@ def nodes_of(lattice: Lattice) -> Nodes:
     return Nodes(origin, per_metre, shape)
 
 
-@numba.njit(cache=True)
+@njit
 def _nearest(nodes, x):
     numbers = np.empty(len(x), np.int64)
     for p in range(len(x)):
@@ -132,7 +133,7 @@ def empty_rows(threads: int, nodes: int, lanes: int) -> npt.NDArray[np.float64]:
     return memory[skip : skip + size].reshape(threads, nodes, lanes)
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def clear(rows):
     """Zeros for all threads and nodes."""
     for n in numba.prange(rows.shape[1]):
@@ -141,7 +142,7 @@ def clear(rows):
                 rows[t, n, i] = 0.0
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def sum_threads(rows):
     """Add the rows of all threads to those of the first."""
     for n in numba.prange(rows.shape[1]):
@@ -150,7 +151,7 @@ def sum_threads(rows):
                 rows[0, n, i] += rows[t, n, i]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def add_body(rows, total):
     """Add the rows ``(nodes, 8)`` of another body to those of the first, but for the volume."""
     for n in numba.prange(len(rows)):
@@ -159,7 +160,7 @@ def add_body(rows, total):
                 total[n, i] += rows[n, i]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def sum_averages(lines, sums):
     """Add up the lines ``(threads, nodes, 4)`` of averages to ``(nodes,)``."""
     head = LINE_LANES - 1
@@ -176,7 +177,7 @@ def sum_averages(lines, sums):
         sums[n] = total
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def update_nodes(rows, dt, gravity, damping, least_mass):
     """New velocities of the nodes, eq. 9 (F-bar), with local damping.
 
@@ -200,7 +201,7 @@ def update_nodes(rows, dt, gravity, damping, least_mass):
                 rows[n, 5 + k] = 0.0
 
 
-@numba.njit(cache=True)
+@njit
 def reactions(rows, dt, gravity, nodes, components, values):
     """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
 
@@ -214,7 +215,7 @@ def reactions(rows, dt, gravity, nodes, components, values):
     return total
 
 
-@numba.njit(cache=True)
+@njit
 def constrain(rows, nodes, components, values):
     """Prescribe velocities of updated nodes."""
     for i in range(len(nodes)):
@@ -223,7 +224,7 @@ def constrain(rows, nodes, components, values):
         rows[n, 1 + k] = values[i]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def average_nodes(rows, sums, lines):
     """Volume-averaged J at the nodes (F-bar, eq. 19) from its sums, in lines ``(nodes, 4)``.
 

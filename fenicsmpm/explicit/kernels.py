@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.explicit.stencils import OPTIONS, stencils, strides
 from fenicsmpm.explicit.stresses import stresses
@@ -50,7 +51,7 @@ from fenicsmpm.materials.tensors import cube_root
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
-_parallel = numba.njit(parallel=True)
+_parallel = njit(parallel=True)
 
 # Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)
 _AHEAD = 8

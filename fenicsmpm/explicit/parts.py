@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import GIMP
 from fenicsmpm.explicit import grid
@@ -343,7 +344,7 @@ def half_size(points: MaterialPoints, kind: int) -> Array:
     return np.minimum(half, 0.5)
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def determinants(F):  # type: ignore[no-untyped-def]
     """Determinants ``(n,)`` of ``(n, 3, 3)``."""
     J = np.empty(len(F))

@@ -32,9 +32,9 @@ from fenicsmpm.basis.lines import (
 )
 from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
-# Not cached: numba would not find again what is compiled for functions that were passed to it
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
-# calls in the loops over points would cost more than what they do
+# Calls in the loops over points would cost more than what they do. What is inlined need not be kept
+# on disk for itself: it is a part of the loops.
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
 

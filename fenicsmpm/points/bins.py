@@ -6,9 +6,10 @@ Also serves meshes that are lattices of equal boxes: there the bins are the cell
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from fenicsmpm._njit import njit
 
 # How far, in units of a bin, a point on a lattice plane may be off by round-off.
 _SLACK = 1e-8
@@ -91,7 +92,7 @@ def lattice_bins(coefficients: npt.NDArray[np.float64]) -> Bins | None:
     return Bins(origin, 1.0 / size, shape, _SLACK, offsets, cells)
 
 
-@numba.njit(cache=True)
+@njit
 def _fill(first, last, shape):  # type: ignore[no-untyped-def]
     """CSR lists of the cells in each bin, from the first and last bin index of each cell."""
     n, d = first.shape

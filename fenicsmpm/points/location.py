@@ -13,12 +13,12 @@ that this one does not see: `Locator.is_sure`.
 import weakref
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import la
 from dolfinx.mesh import Mesh
 
+from fenicsmpm._njit import njit
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.bins import Bins, lattice_bins, make_bins
 from fenicsmpm.points.geometry import cell_geometry
@@ -190,13 +190,13 @@ def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_]:
     return complete[corners].reshape(-1, max(per_cell, 1)).all(axis=1)
 
 
-@numba.njit(cache=True)
+@njit
 def _pull_back(cells: _Cells, x, cell, xi):  # type: ignore[no-untyped-def]
     for p in range(len(x)):
         reference_point(cells.coefficients, cells.inverse, cell[p], x, p, xi[p])
 
 
-@numba.njit(cache=True)
+@njit
 def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-def]
     """Overwrite the hints in `cell` by the cells found, and `xi`."""
     n, d = x.shape
@@ -225,7 +225,7 @@ def _locate(cells: _Cells, bins: Bins, x, cell, xi):  # type: ignore[no-untyped-
             cell[p] = _search(cells, bins, x, p, scratch, xi)
 
 
-@numba.njit(cache=True)
+@njit
 def _search(cells: _Cells, bins: Bins, x, p, scratch, xi):  # type: ignore[no-untyped-def]
     """The cell that contains x[p] inside, else the one of lowest key that touches it, else -1."""
     d = x.shape[1]
@@ -257,7 +257,7 @@ def _search(cells: _Cells, bins: Bins, x, p, scratch, xi):  # type: ignore[no-un
     return best
 
 
-@numba.njit(cache=True)
+@njit
 def _bin_range(bins: Bins, x, p, i):  # type: ignore[no-untyped-def]
     """First and last bin of x[p] in direction i; empty if the point is outside of all bins."""
     t = (x[p, i] - bins.origin[i]) * bins.inverse_size[i]
@@ -267,7 +267,7 @@ def _bin_range(bins: Bins, x, p, i):  # type: ignore[no-untyped-def]
     return max(int(t - bins.slack), 0), min(int(t + bins.slack), last)
 
 
-@numba.njit(cache=True)
+@njit
 def _in_box(cells: _Cells, x, p, c):  # type: ignore[no-untyped-def]
     for i in range(x.shape[1]):
         if x[p, i] < cells.lower[c, i] or x[p, i] > cells.upper[c, i]:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Points by cell, or by another number."""
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 
-@numba.njit(cache=True)
+
+@njit
 def sort_by_number(
     number: npt.NDArray[np.integer], count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
