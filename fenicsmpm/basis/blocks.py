@@ -18,6 +18,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lines import (
     CUBIC,
     LINEAR,
@@ -34,13 +35,13 @@ from fenicsmpm.basis.lines import (
 from fenicsmpm.lanes import LANES, between, choose, load, store, store_integers, zeros
 from fenicsmpm.transfer.tiles import ON_WALL, window
 
-# Not cached: numba would not find again what is compiled for functions that were passed to it
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
-# calls in the loops over points would cost more than what they do
+# Calls in the loops over points would cost more than what they do. What is inlined need not be kept
+# on disk for itself: it is a part of the loops.
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
 
-@numba.njit(cache=True)
+@njit
 def plain_order(n):
     """Order of points, one after the other, in blocks; copies of the last one fill them up."""
     order = np.empty((n + LANES - 1) // LANES * LANES, np.int32)
@@ -49,7 +50,7 @@ def plain_order(n):
     return order
 
 
-@numba.njit(cache=True)
+@njit
 def _to_blocks(flat, order, rows, copied):
     components = flat.shape[1]
     for slot in range(len(order)):
@@ -61,7 +62,7 @@ def _to_blocks(flat, order, rows, copied):
                 rows[block * components + k, i] = flat[-1 - p, k] if copied else 0.0
 
 
-@numba.njit(cache=True)
+@njit
 def _from_blocks(rows, order, flat):
     components = flat.shape[1]
     for slot in range(len(order)):

@@ -7,10 +7,10 @@ import weakref
 from typing import TYPE_CHECKING, Any
 
 import basix
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.stencil import derivative_rows, round_off
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _second_derivatives(dim: int) -> npt.NDArray[np.int64]:
     return np.array([[basix.index(*(unit[k] + unit[m])) for m in range(dim)] for k in range(dim)])
 
 
-@numba.njit(cache=True)
+@njit
 def _push_forward_gradients(reference, inverse, table):  # type: ignore[no-untyped-def]
     """dN/dx_j = dN/dxi_k K_kj into rows 1 ... d of the table."""
     dim, n_points, n_nodes = reference.shape
@@ -179,7 +179,7 @@ def _push_forward_gradients(reference, inverse, table):  # type: ignore[no-untyp
                 table[p, 1 + j, a] = value
 
 
-@numba.njit(cache=True)
+@njit
 def _push_forward_hessians(second, inverse, curvature, table):  # type: ignore[no-untyped-def]
     """N_,ij = (N_,kl - N_,m x_m,kl) K_ki K_lj: chain rule with the curvature of the cell map.
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm import _compat
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lagrange import is_linear
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
@@ -308,13 +309,13 @@ def _leaves(element: Any) -> list[Any]:
     return [element]
 
 
-@numba.njit(cache=True)
+@njit
 def _position(boxes, x, i, k):  # type: ignore[no-untyped-def]
     """Position from 0 to 1 in cell i of direction k, of points that are in it up to round-off."""
     return min(max((x - boxes.origin[k]) / boxes.spacing[k] - i, 0.0), 1.0)
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def]
     """Group of each point from those of the quarters (eighths) of its cell."""
     dim = x.shape[1]
@@ -328,7 +329,7 @@ def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def
         group[p] = group_of[cell[p], part]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _tabulate(  # type: ignore[no-untyped-def]
     kind, x, cell, order, boxes, half, width, rows, table
 ):
@@ -365,7 +366,7 @@ def _tabulate(  # type: ignore[no-untyped-def]
                             b += 1
 
 
-@numba.njit(cache=True)
+@njit
 def _mark_cells(values, offsets, corners, least, seen):  # type: ignore[no-untyped-def]
     """Mark cells ``seen (n_groups, n_cells)`` all of whose corners are seen by a point."""
     for g in range(len(offsets) - 1):

@@ -20,7 +20,7 @@ node. They are for one point in one direction and meant to be called from compil
 
 # mypy: disallow_untyped_defs=False
 
-import numba
+from fenicsmpm._njit import njit
 
 # Kinds of functions, in an order in which compiled loops compare them
 LINEAR, QUADRATIC, CUBIC, GIMP = range(4)
@@ -29,13 +29,13 @@ LINEAR, QUADRATIC, CUBIC, GIMP = range(4)
 WIDTH = {LINEAR: 2, QUADRATIC: 3, CUBIC: 4, GIMP: 3}
 
 
-@numba.njit(cache=True)
+@njit
 def linear(t):
     """Hat functions of the nodes 0 and 1 at 0 <= t <= 1."""
     return (1.0 - t, t), (-1.0, 1.0), (0.0, 0.0)
 
 
-@numba.njit(cache=True)
+@njit
 def quadratic_inside(s):
     """Quadratic splines of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
 
@@ -46,7 +46,7 @@ def quadratic_inside(s):
     return (0.5 * a * a, 0.75 - s * s, 0.5 * b * b), (-a, -2.0 * s, b)
 
 
-@numba.njit(cache=True)
+@njit
 def quadratic(s, lower, upper):
     """As ``quadratic_inside`` at any place.
 
@@ -64,7 +64,7 @@ def quadratic(s, lower, upper):
     )
 
 
-@numba.njit(cache=True)
+@njit
 def cubic_inside(t):
     """Cubic splines of the nodes -1, 0, 1, 2 at 0 <= t <= 1, away from walls."""
     r = 1.0 - t
@@ -78,7 +78,7 @@ def cubic_inside(t):
     return values, slopes
 
 
-@numba.njit(cache=True)
+@njit
 def cubic(t, lower, upper):
     """As ``cubic_inside`` at any place; ``lower`` if node -1 is beyond a wall, ``upper`` if 2."""
     values, slopes = cubic_inside(t)
@@ -91,7 +91,7 @@ def cubic(t, lower, upper):
     )
 
 
-@numba.njit(cache=True)
+@njit
 def gimp_inside(s, half):
     """UGIMP functions of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
 
@@ -107,7 +107,7 @@ def gimp_inside(s, half):
     return (below, 1.0 - below - above, above), (-dbelow, dbelow - dabove, dabove)
 
 
-@numba.njit(cache=True)
+@njit
 def gimp(s, half, lower, upper):
     """As ``gimp_inside`` at any place; the second derivative is the one between kinks of the first.
 
@@ -126,14 +126,14 @@ def gimp(s, half, lower, upper):
     )
 
 
-@numba.njit(cache=True)
+@njit
 def _ramp(s, half):
     """Average of max(s, 0) over (s - half, s + half), with its derivative."""
     reach = min(max(s, -half), half) + half
     return reach * reach / (4.0 * half) + max(s - half, 0.0), reach / (2.0 * half)
 
 
-@numba.njit(cache=True)
+@njit
 def fold3(f, lower, upper):
     """Give the parts of nodes beyond a wall to those at it: ``u_-1 = 2 u_0 - u_1``."""
     a, b, c = f
@@ -144,7 +144,7 @@ def fold3(f, lower, upper):
     return a, b, c
 
 
-@numba.njit(cache=True)
+@njit
 def fold4(f, lower, upper):
     """As ``fold3`` for four nodes."""
     a, b, c, d = f
@@ -155,7 +155,7 @@ def fold4(f, lower, upper):
     return a, b, c, d
 
 
-@numba.njit(cache=True)
+@njit
 def tabulate_line(kind, i, t, n, half, result):
     """Values and derivatives of a kind of functions into ``result (3, >= width)``.
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm._garbage import lasting
+from fenicsmpm._njit import njit
 from fenicsmpm.cells.active_cells import ActiveCells
 from fenicsmpm.cells.weight_correction import filled_fractions, nodes_of
 from fenicsmpm.points import MaterialPoints
@@ -245,7 +245,7 @@ def _components(space: fem.FunctionSpace) -> list[npt.NDArray[np.int32]]:
     return [dofs for subspace in subspaces for dofs in _components(subspace)]
 
 
-@numba.njit(cache=True)
+@njit
 def _nearest(x, centres):  # type: ignore[no-untyped-def]
     """Index of the centre nearest to each x; of those as near up to round-off, the first."""
     result = np.zeros(len(x), dtype=np.int64)

@@ -16,10 +16,10 @@ import math
 from typing import Any
 
 import basix
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis import LagrangeStencil
 from fenicsmpm.forms.sites import Sites
 from fenicsmpm.forms.slots import SIMPLICES
@@ -118,7 +118,7 @@ class Condensation:
         return Sites(few, LagrangeStencil(few), few.order, groups, offsets)
 
 
-@numba.njit(cache=True)
+@njit
 def _sum_moments(weights, table, offsets, result):
     """W_a = sum_p V_p L_a(x_p) into ``result (n_cells, n_columns)``."""
     for i in range(len(offsets) - 1):

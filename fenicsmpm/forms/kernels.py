@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import ufl
 from llvmlite import ir
@@ -18,6 +17,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from fenicsmpm import _compat
+from fenicsmpm._njit import njit
 from fenicsmpm.forms.lowering import PointwiseForm
 
 
@@ -154,7 +154,7 @@ def kernel_of_nine(typingctx, address, values, inputs, coordinates):  # type: ig
     return signature, codegen
 
 
-@numba.njit(cache=True)
+@njit
 def evaluate_kernel(address, tensor, inputs):  # type: ignore[no-untyped-def]
     """Set ``tensor`` to what a kernel makes of one point's inputs."""
     tensor[:] = 0.0  # kernels add to their output

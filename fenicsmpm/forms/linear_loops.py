@@ -12,6 +12,7 @@ group instead of once for each point.
 import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.forms.kernels import evaluate_kernel
 from fenicsmpm.forms.loops import contract_matrix, contract_vector
 
@@ -38,7 +39,7 @@ def with_moments(table, values, dim):
     )
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def gather_function(
     values, dofs, groups, offsets, rows, is_value, basis, column, length, start, inputs, first
 ):
@@ -57,7 +58,7 @@ def gather_function(
                 inputs[k - offsets[0], first + s] = slots[s]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def element_vectors(
     address, offsets, weights, rows, inputs, x, values,
     basis, column, length, start, result,
@@ -81,7 +82,7 @@ def element_vectors(
         contract_vector(moments, 1.0, basis[rows[first]], column, length, start, result[i])
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def element_matrices(
     address, offsets, weights, rows, inputs, x, values0, values1,
     basis0, column0, length0, start0, basis1, column1, length1, start1, result,

@@ -11,10 +11,11 @@ does not depend on the number of threads.
 import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.forms.kernels import evaluate_kernel
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def gather_function(
     values, dofs, groups, offsets, rows, basis, column, length, start, inputs, first
 ):
@@ -44,14 +45,14 @@ def gather_function(
                 inputs[k - offsets[0], first + s] = value
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def evaluate_points(address, inputs, tensors):
     """Kernel's output at each point, ``tensors (n_points, n)``, zeroed first."""
     for k in numba.prange(len(inputs)):
         evaluate_kernel(address, tensors[k], inputs[k])
 
 
-@numba.njit(cache=True)
+@njit
 def put_rows(result, rows, values, first):
     """``result[rows] = values[:, first:first + n_columns]``, a row at once."""
     for k in range(len(rows)):
@@ -59,7 +60,7 @@ def put_rows(result, rows, values, first):
             result[rows[k], c] = values[k, first + c]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def element_scalars(address, offsets, weights, inputs, result):
     """Integral over each group's points into ``result (n_groups,)``."""
     for i in numba.prange(len(offsets) - 1):
@@ -70,7 +71,7 @@ def element_scalars(address, offsets, weights, inputs, result):
             result[i] += weights[k] * tensor[0]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def element_vectors(address, offsets, weights, rows, inputs, basis, column, length, start, result):
     """b_K = sum_p V_p B^T D into ``result (n_groups, n_local)``."""
     n_slots = len(column)
@@ -82,7 +83,7 @@ def element_vectors(address, offsets, weights, rows, inputs, basis, column, leng
             contract_vector(tensor, weights[k], basis[rows[k]], column, length, start, result[i])
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def element_matrices(
     address,
     offsets,
@@ -118,7 +119,7 @@ def element_matrices(
             )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@njit
 def contract_vector(tensor, weight, row, column, length, start, result):
     """Add weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
     for s in range(len(column)):
@@ -127,7 +128,7 @@ def contract_vector(tensor, weight, row, column, length, start, result):
             result[start[s] + a] += factor * row[column[s] + a]
 
 
-@numba.njit(cache=True)
+@njit
 def contract_matrix(
     tensor, weight, row0, column0, length0, start0, row1, column1, length1, start1, half, result
 ):
@@ -148,7 +149,7 @@ def contract_matrix(
                 target[j] += factor * half[j, s]
 
 
-@numba.njit(cache=True)
+@njit
 def mark_seen(offsets, rows, basis, column, length, start, least, seen):
     """Mark local dofs ``seen (n_groups, n_local)`` whose functions are not zero at all points.
 
@@ -166,7 +167,7 @@ def mark_seen(offsets, rows, basis, column, length, start, least, seen):
                         seen[i, start[s] + a] = True
 
 
-@numba.njit(cache=True)
+@njit
 def add_vectors(vectors, dofs, groups, result):
     """Add element vectors to a local vector."""
     for i in range(len(groups)):
@@ -174,7 +175,7 @@ def add_vectors(vectors, dofs, groups, result):
             result[dofs[groups[i], a]] += vectors[i, a]
 
 
-@numba.njit(cache=True)
+@njit
 def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data):
     """Add element matrices to CSR data, without constrained rows and columns.
 
@@ -197,7 +198,7 @@ def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data
                     data[positions[i, a, b]] += matrices[i, a, b]
 
 
-@numba.njit(cache=True)
+@njit
 def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
     """Subtract the constrained columns times ``values (n_dofs1,)`` from a vector."""
     for i in range(len(groups)):
@@ -208,7 +209,7 @@ def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
                     result[dofs0[groups[i], a]] -= matrices[i, a, b] * values[j]
 
 
-@numba.njit(cache=True)
+@njit
 def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
     """Position of each entry of some groups' element matrices within CSR data.
 
@@ -228,7 +229,7 @@ def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
     return True
 
 
-@numba.njit(cache=True)
+@njit
 def add_rows(from_indptr, from_columns, values, indptr, indices, data):
     """Add the first rows of one CSR matrix to those of another with at least its pattern."""
     for row in range(len(from_indptr) - 1):
@@ -237,7 +238,7 @@ def add_rows(from_indptr, from_columns, values, indptr, indices, data):
             data[indptr[row] + np.searchsorted(columns, from_columns[k])] += values[k]
 
 
-@numba.njit(cache=True)
+@njit
 def average_groups(table, weights, offsets):
     """Weighted average of table rows over the points of each group, one row a point."""
     result = np.empty_like(table)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from fenicsmpm._njit import njit
 from fenicsmpm.forms import PointExpression
 from fenicsmpm.materials import Law, state_of
 from fenicsmpm.points import MaterialPoints
@@ -118,32 +120,33 @@ class _Computed:
         n = len(points)
         new = old.copy()
         P, tangent, work = np.empty((n, 3, 3)), np.empty((n, 3, 3, 3, 3)), np.empty(n)
-        _evaluate(
-            law.update, law.tangent, law.energy, law.parameters, F, old, new, P, tangent, work
-        )
+        evaluate = _evaluation(law.update, law.tangent, law.energy)
+        evaluate(law.parameters, F, old, new, P, tangent, work)
         if self._has_dissipation:
             work += law.state_field(new, "dissipation")
         self._old, self._state, self._version = old, new, known
         self._values = {"F_0": F, "P_0": P, "dPdF": tangent, "work_0": work}
 
 
-# Compiled for each law, since its functions are a part of the types; numba cannot cache that.
-@numba.njit(parallel=True)
-def _evaluate(
-    update: Any, tangent: Any, energy: Any, parameters: Any,
-    F: Any, old: Any, new: Any, P: Any, dPdF: Any, work: Any,
-) -> None:  # fmt: skip
-    for p in numba.prange(len(F)):
-        sigma = np.empty((3, 3))
-        update(F[p], np.zeros((3, 3)), parameters, new[p], sigma)
-        f = F[p]
-        # P = sigma cof F
-        for j in range(3):
-            a, b = (j + 1) % 3, (j + 2) % 3
-            for k in range(3):
-                c, d = (k + 1) % 3, (k + 2) % 3
-                cofactor = f[a, c] * f[b, d] - f[a, d] * f[b, c]
-                for i in range(3):
-                    P[p, i, k] = (P[p, i, k] if j else 0.0) + sigma[i, j] * cofactor
-        tangent(f, parameters, old[p], dPdF[p])
-        work[p] = energy(f, parameters, new[p])
+@functools.cache
+def _evaluation(update: Any, tangent: Any, energy: Any) -> Any:
+    """Compile the loop over points for the functions of a law."""
+
+    @njit(parallel=True)
+    def evaluate(parameters: Any, F: Any, old: Any, new: Any, P: Any, dPdF: Any, work: Any) -> None:
+        for p in numba.prange(len(F)):
+            sigma = np.empty((3, 3))
+            update(F[p], np.zeros((3, 3)), parameters, new[p], sigma)
+            f = F[p]
+            # P = sigma cof F
+            for j in range(3):
+                a, b = (j + 1) % 3, (j + 2) % 3
+                for k in range(3):
+                    c, d = (k + 1) % 3, (k + 2) % 3
+                    cofactor = f[a, c] * f[b, d] - f[a, d] * f[b, c]
+                    for i in range(3):
+                        P[p, i, k] = (P[p, i, k] if j else 0.0) + sigma[i, j] * cofactor
+            tangent(f, parameters, old[p], dPdF[p])
+            work[p] = energy(f, parameters, new[p])
+
+    return evaluate

@@ -12,7 +12,6 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.errors import NumbaError
 from numba.extending import (
     intrinsic,
     lower_builtin,
@@ -21,6 +20,7 @@ from numba.extending import (
     type_callable,
 )
 
+from fenicsmpm._njit import compiles
 from fenicsmpm.lanes.memory import row_address
 from fenicsmpm.lanes.rows import INT64, NUMBERS, ROW, VECTOR, splat
 
@@ -112,8 +112,4 @@ def _setitem(context, builder, signature, arguments):
 def works_on_rows(update: Any) -> bool:
     """Whether a law's function can be compiled for eight points at once: it has no branches."""
     parameters = types.Array(types.float64, 1, "C")
-    try:
-        update.compile(types.void(TENSORS, TENSORS, parameters, TENSORS, TENSORS))
-    except NumbaError:
-        return False
-    return True
+    return compiles(update, types.void(TENSORS, TENSORS, parameters, TENSORS, TENSORS))

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.materials.law import Law
 from fenicsmpm.points import MaterialPoints
 
@@ -38,7 +40,7 @@ def stress(
     if L.shape != F.shape:
         raise ValueError(f"velocity gradients must have the shape of F, {F.shape}: {L.shape}")
     sigma = np.empty_like(F)
-    _stress(law.update, F, L, law.parameters, state, sigma)
+    _stresses(law.update)(F, L, law.parameters, state, sigma)
     return sigma
 
 
@@ -57,7 +59,7 @@ def energy(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
         raise ValueError(f"this law has no energy: {law}")
     F, state = _checked(law, F, state)
     result = np.empty(len(F))
-    _energy(law.energy, F, law.parameters, state, result)
+    _energies(law.energy)(F, law.parameters, state, result)
     return result
 
 
@@ -77,7 +79,7 @@ def tangent(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
         raise ValueError(f"this law has no tangent: {law}")
     F, state = _checked(law, F, state)
     result = np.empty((len(F), 3, 3, 3, 3))
-    _tangent(law.tangent, F, law.parameters, state, result)
+    _tangents(law.tangent)(F, law.parameters, state, result)
     return result
 
 
@@ -108,22 +110,37 @@ def _checked(law: Law, F: npt.ArrayLike, state: Array | None) -> tuple[Array, Ar
     return F, state
 
 
-# Compiled for each law, since its function is a part of the types; numba cannot cache that.
+@functools.cache
+def _stresses(update: Any) -> Any:
+    """Compile a loop over points for a function of a law."""
+
+    @njit(parallel=True)
+    def loop(F: Any, L: Any, parameters: Any, state: Any, sigma: Any) -> None:
+        for p in numba.prange(len(F)):
+            update(F[p], L[p], parameters, state[p], sigma[p])
+
+    return loop
 
 
-@numba.njit(parallel=True)
-def _stress(update: Any, F: Any, L: Any, parameters: Any, state: Any, sigma: Any) -> None:
-    for p in numba.prange(len(F)):
-        update(F[p], L[p], parameters, state[p], sigma[p])
+@functools.cache
+def _energies(energy: Any) -> Any:
+    """As ``_stresses``."""
+
+    @njit(parallel=True)
+    def loop(F: Any, parameters: Any, state: Any, result: Any) -> None:
+        for p in numba.prange(len(F)):
+            result[p] = energy(F[p], parameters, state[p])
+
+    return loop
 
 
-@numba.njit(parallel=True)
-def _energy(function: Any, F: Any, parameters: Any, state: Any, result: Any) -> None:
-    for p in numba.prange(len(F)):
-        result[p] = function(F[p], parameters, state[p])
+@functools.cache
+def _tangents(tangent: Any) -> Any:
+    """As ``_stresses``."""
 
+    @njit(parallel=True)
+    def loop(F: Any, parameters: Any, state: Any, result: Any) -> None:
+        for p in numba.prange(len(F)):
+            tangent(F[p], parameters, state[p], result[p])
 
-@numba.njit(parallel=True)
-def _tangent(function: Any, F: Any, parameters: Any, state: Any, result: Any) -> None:
-    for p in numba.prange(len(F)):
-        function(F[p], parameters, state[p], result[p])
+    return loop

@@ -7,16 +7,17 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from numba.core.dispatcher import Dispatcher
+
+from fenicsmpm._njit import njit
 
 # How functions of one point are compiled: division by zero gives infinity or NaN, as in C, because
 # an exception in a loop over points would name no point; products and sums are fused (fma), which
 # is faster and not less accurate. Sums are not reordered, small strains depend on that. Calls
 # are inlined, because a call counts references to its arrays, which takes longer than most laws.
-compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+compiled = njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 
 
 @dataclass(eq=False, repr=False)

@@ -3,9 +3,10 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from fenicsmpm._njit import njit
 
 
 class Bins(NamedTuple):
@@ -50,7 +51,7 @@ def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) ->
     return Bins(origin, 1.0 / size, shape, offsets, cells)
 
 
-@numba.njit(cache=True)
+@njit
 def _fill(first, last, shape):  # type: ignore[no-untyped-def]
     """CSR lists of the cells in each bin, from the first and last bin index of each cell."""
     n, d = first.shape

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 from mpi4py import MPI
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from fenicsmpm._njit import njit
 
 # How far, in units of a cell, nodes of a lattice may be off their places.
 _SLACK = 1e-9
@@ -177,7 +178,7 @@ def find_boxes(
     return Boxes(origin, spacing, shape, low, box, number, cell, turn, axis, down), off
 
 
-@numba.njit(cache=True)
+@njit
 def _place_cells(  # type: ignore[no-untyped-def]
     x, nodes, origin, spacing, first, box, number, cell, code
 ):
@@ -231,7 +232,7 @@ def _place_cells(  # type: ignore[no-untyped-def]
     return off
 
 
-@numba.njit(cache=True)
+@njit
 def locate_in_boxes(boxes: Boxes, key, tolerance, count, x, cell, xi):  # type: ignore[no-untyped-def]
     """Cells `cell` (n,), -1 for none, and reference coordinates xi (n, d) of points x (n, d).
 
@@ -266,7 +267,7 @@ def locate_in_boxes(boxes: Boxes, key, tolerance, count, x, cell, xi):  # type: 
             _turn(boxes, c, xi[p])
 
 
-@numba.njit(cache=True)
+@njit
 def _touching(boxes: Boxes, key, tolerance, count, place, s):  # type: ignore[no-untyped-def]
     """The cell of lowest key that touches a point; s (d,) becomes the position in it.
 
@@ -304,13 +305,13 @@ def _touching(boxes: Boxes, key, tolerance, count, place, s):  # type: ignore[no
     return best
 
 
-@numba.njit(cache=True)
+@njit
 def _step(s, tolerance):  # type: ignore[no-untyped-def]
     """To which neighbour a position s in a cell is near: below, -1, above, 1, or none, 0."""
     return -1 if s <= tolerance else 1 if s >= 1.0 - tolerance else 0
 
 
-@numba.njit(cache=True)
+@njit
 def _turn(boxes: Boxes, c, s):  # type: ignore[no-untyped-def]
     """From the position s (d,) along the directions of the lattice to reference coordinates."""
     t = boxes.turn[c] if len(boxes.turn) > 1 else boxes.turn[0]
@@ -321,7 +322,7 @@ def _turn(boxes: Boxes, c, s):  # type: ignore[no-untyped-def]
         s[a] = 1.0 - along if boxes.down[t, a] else along
 
 
-@numba.njit(cache=True)
+@njit
 def pull_back_to_boxes(boxes: Boxes, x, cell, xi):  # type: ignore[no-untyped-def]
     """Reference coordinates xi (n, d) of points x (n, d) in given cells (n,)."""
     for p in range(len(x)):
@@ -333,7 +334,7 @@ def pull_back_to_boxes(boxes: Boxes, x, cell, xi):  # type: ignore[no-untyped-de
         _turn(boxes, cell[p], xi[p])
 
 
-@numba.njit(cache=True)
+@njit
 def _push_forward(boxes: Boxes, cell, xi, x):  # type: ignore[no-untyped-def]
     d = xi.shape[1]
     for p in range(len(xi)):

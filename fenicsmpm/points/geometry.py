@@ -8,12 +8,12 @@ from functools import cached_property
 from mpi4py import MPI
 
 import basix
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import CellType, Mesh
 
 from fenicsmpm import _compat
+from fenicsmpm._njit import njit
 from fenicsmpm.points.boxes import Boxes, find_boxes
 
 # Points outside a cell by less than this part of its size are in it.
@@ -262,7 +262,7 @@ def _checksum(x: npt.NDArray[np.float64]) -> tuple[int, int]:
     return _mixed_sums(np.ascontiguousarray(x).reshape(-1).view(np.uint64))
 
 
-@numba.njit(cache=True)
+@njit
 def _mixed_sums(words):  # type: ignore[no-untyped-def]
     """Two sums of the words (n,), scattered differently at each place.
 

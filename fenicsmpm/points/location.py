@@ -14,12 +14,12 @@ that this one does not see: `Locator.is_sure`.
 import weakref
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import la
 from dolfinx.mesh import Mesh
 
+from fenicsmpm._njit import njit
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.bins import Bins, make_bins
 from fenicsmpm.points.boxes import locate_in_boxes, pull_back_to_boxes
@@ -234,7 +234,7 @@ def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_] | None:
     return _all_at(corners, here.array == everywhere.array)
 
 
-@numba.njit(cache=True)
+@njit
 def _count(corners, result):  # type: ignore[no-untyped-def]
     """Add the number of cells at each vertex."""
     for c in range(len(corners)):
@@ -242,7 +242,7 @@ def _count(corners, result):  # type: ignore[no-untyped-def]
             result[vertex] += 1.0
 
 
-@numba.njit(cache=True)
+@njit
 def _all_at(corners, mark):  # type: ignore[no-untyped-def]
     """Cells all of whose vertices have a mark."""
     result = np.ones(len(corners), dtype=np.bool_)
@@ -252,13 +252,13 @@ def _all_at(corners, mark):  # type: ignore[no-untyped-def]
     return result
 
 
-@numba.njit(cache=True)
+@njit
 def _pull_back(cells: _Cells, x, cell, xi):  # type: ignore[no-untyped-def]
     for p in range(len(x)):
         reference_point(cells.coefficients, cells.inverse, cell[p], x, p, xi[p])
 
 
-@numba.njit(cache=True)
+@njit
 def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-untyped-def]
     """Overwrite the hints in `cell` by the cells found among the first `count`, and `xi`."""
     n, d = x.shape
@@ -287,7 +287,7 @@ def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-u
             cell[p] = _search(cells, bins, count, x, p, scratch, xi)
 
 
-@numba.njit(cache=True)
+@njit
 def _search(cells: _Cells, bins: Bins, count, x, p, scratch, xi):  # type: ignore[no-untyped-def]
     """The cell that contains x[p] inside, else the one of lowest key that touches it, else -1."""
     best = -1
@@ -311,7 +311,7 @@ def _search(cells: _Cells, bins: Bins, count, x, p, scratch, xi):  # type: ignor
     return best
 
 
-@numba.njit(cache=True)
+@njit
 def _bin_of(bins: Bins, x, p):  # type: ignore[no-untyped-def]
     """The bin of x[p], -1 if the point is outside of all bins."""
     b = 0
@@ -323,7 +323,7 @@ def _bin_of(bins: Bins, x, p):  # type: ignore[no-untyped-def]
     return b
 
 
-@numba.njit(cache=True)
+@njit
 def _in_box(cells: _Cells, x, p, c):  # type: ignore[no-untyped-def]
     for i in range(x.shape[1]):
         if x[p, i] < cells.lower[c, i] or x[p, i] > cells.upper[c, i]:

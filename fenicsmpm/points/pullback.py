@@ -7,14 +7,15 @@ return the margin: the smallest barycentric coordinate (simplices) or the smalle
 face of the reference cell (quadrilaterals, hexahedra). It is negative outside the cell.
 """
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from fenicsmpm._njit import njit
 
 _MAX_ITERATIONS = 30
 
 
-@numba.njit(cache=True)
+@njit
 def reference_point(
     coefficients: npt.NDArray[np.float64],
     inverse: npt.NDArray[np.float64],
@@ -44,7 +45,7 @@ def reference_point(
     return _hexahedron(coefficients, c, x, p, xi)
 
 
-@numba.njit(cache=True)
+@njit
 def _simplex(coefficients, inverse, c, x, p, xi):  # type: ignore[no-untyped-def]
     d = x.shape[1]
     last = 1.0
@@ -64,7 +65,7 @@ def _simplex(coefficients, inverse, c, x, p, xi):  # type: ignore[no-untyped-def
 # and what wanders off is outside.
 
 
-@numba.njit(cache=True)
+@njit
 def _quadrilateral(coefficients, c, x, p, xi):  # type: ignore[no-untyped-def]
     a = coefficients
     u = v = 0.5
@@ -89,7 +90,7 @@ def _quadrilateral(coefficients, c, x, p, xi):  # type: ignore[no-untyped-def]
     return -np.inf
 
 
-@numba.njit(cache=True)
+@njit
 def _hexahedron(coefficients, c, x, p, xi):  # type: ignore[no-untyped-def]
     a = coefficients
     u = v = w = 0.5
@@ -120,7 +121,7 @@ def _hexahedron(coefficients, c, x, p, xi):  # type: ignore[no-untyped-def]
     return -np.inf
 
 
-@numba.njit(cache=True)
+@njit
 def _trilinear(a, c, i, u, v, w):  # type: ignore[no-untyped-def]
     """Component i of the map without its constant part, and its derivatives by u, v, w."""
     value = (

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Points by cell, or by another number."""
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from fenicsmpm._njit import njit
 
 # Bits that are sorted by at a time: their counts stay in the first cache.
 _BITS = 11
@@ -24,7 +25,7 @@ def order_by_number(number: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
     return _sort_by_bits(number, highest)
 
 
-@numba.njit(cache=True)
+@njit
 def _sort_by_bits(number, highest):  # type: ignore[no-untyped-def]
     """Order (n,) of numbers up to the highest, by sorting for the lower bits first."""
     n = len(number)
@@ -47,7 +48,7 @@ def _sort_by_bits(number, highest):  # type: ignore[no-untyped-def]
     return order
 
 
-@numba.njit(cache=True)
+@njit
 def sort_by_number(
     number: npt.NDArray[np.integer], count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

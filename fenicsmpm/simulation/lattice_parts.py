@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows, in_blocks, out_of_blocks, plain_order
 from fenicsmpm.basis.lattice_stencil import half_size_in_cells
 from fenicsmpm.basis.lines import WIDTH
@@ -508,7 +509,7 @@ def half_size(points: MaterialPoints) -> Array:
     return half
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def determinants(F):  # type: ignore[no-untyped-def]
     """Determinants ``(n,)`` of ``(n, 3, 3)``."""
     J = np.empty(len(F))

@@ -9,16 +9,16 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.lanes import LANES
 from fenicsmpm.transfer.grid_rows import MASS, VELOCITY
 from fenicsmpm.transfer.tiles import ON_WALL, row_of
 
-_njit = numba.njit(**OPTIONS)
+_njit = njit(**OPTIONS)
 
 
 @functools.cache

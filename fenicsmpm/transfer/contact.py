@@ -20,9 +20,9 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.lanes import LANES
@@ -30,7 +30,7 @@ from fenicsmpm.transfer.carriers import node_rows
 from fenicsmpm.transfer.grid_rows import FORCE
 from fenicsmpm.transfer.tiles import ON_WALL
 
-_njit = numba.njit(**OPTIONS)
+_njit = njit(**OPTIONS)
 
 # Share of the reach that is kept in any case
 _CLOSEST = 0.01
@@ -112,7 +112,7 @@ def keep_out(x_next, v, first, i, m, lower, upper, velocity, reach, dt, normal, 
     return True
 
 
-@numba.njit(cache=True)
+@njit
 def push_points(x, v, mass, lower, upper, velocity, reach, stiffness, friction, dt):
     """Contact forces ``(n, d)`` [N] at points ``(n, d)``.
 
@@ -130,7 +130,7 @@ def push_points(x, v, mass, lower, upper, velocity, reach, stiffness, friction, 
     return forces, bad
 
 
-@numba.njit(cache=True)
+@njit
 def keep_points_out(x_next, v, mass, lower, upper, velocity, reach, dt):
     """Keep points ``(n, d)`` out of a box at its new place; the force ``(d,)`` that this takes."""
     normal, total = np.zeros(x_next.shape[1]), np.zeros(x_next.shape[1])

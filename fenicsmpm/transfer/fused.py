@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.lanes import (
@@ -57,7 +58,7 @@ from fenicsmpm.transfer.windows import SPARE, scratch_rows, windows
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
-_parallel = numba.njit(parallel=True)
+_parallel = njit(parallel=True)
 
 # Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)
 _AHEAD = 8

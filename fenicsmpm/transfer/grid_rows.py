@@ -12,6 +12,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows
 from fenicsmpm.lanes import LANES
 
@@ -31,7 +32,7 @@ def tile_rows(tiles: int, per_tile: int, lanes: int = LANES) -> np.ndarray:
     return rows.reshape(tiles, per_tile, lanes)
 
 
-@numba.njit(cache=True)
+@njit
 def merge(tiles, copies):
     """Add the copies of other threads, behind the tiles, to these, and clear them."""
     first = len(tiles) - len(copies)
@@ -43,7 +44,7 @@ def merge(tiles, copies):
                 tiles[first + c, n, i] = 0.0
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def add_body(rows, place, total):
     """Add the tiles of a body to those of all bodies."""
     for tile in numba.prange(len(place)):
@@ -52,7 +53,7 @@ def add_body(rows, place, total):
                 total[place[tile], n, i] += rows[tile, n, i]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def add_weight(rows, gravity):
     """Add mass times a force per mass ``(3,)`` to the forces."""
     for tile in numba.prange(len(rows)):
@@ -61,7 +62,7 @@ def add_weight(rows, gravity):
                 rows[tile, n, FORCE + k] += rows[tile, n, MASS] * gravity[k]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def clear(rows):
     """Zeros in all tiles."""
     for tile in numba.prange(len(rows)):
@@ -70,7 +71,7 @@ def clear(rows):
                 rows[tile, n, i] = 0.0
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def masses(rows, bounds):
     """Smallest and largest mass of the nodes in each tile that have some, into ``(n_tiles, 2)``."""
     for tile in numba.prange(len(rows)):
@@ -82,7 +83,7 @@ def masses(rows, bounds):
         bounds[tile, 0], bounds[tile, 1] = low, high
 
 
-@numba.njit(cache=True)
+@njit
 def _around(tile, n, ids, nodes, neighbours, around, cells):
     """Rows of the nodes around the n-th one of a tile and itself, and how many cells they share.
 
@@ -119,7 +120,7 @@ def _around(tile, n, ids, nodes, neighbours, around, cells):
     return count
 
 
-@numba.njit(cache=True)
+@njit
 def relieve(rows, bounds, forces, column, neighbours, ids, nodes, threshold):
     """Move forces from light nodes to those around them, as ``light_nodes.LightNodes`` does.
 
@@ -171,7 +172,7 @@ def relieve(rows, bounds, forces, column, neighbours, ids, nodes, threshold):
                 f[around[j], column + k] += share * given[i][k]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def update_nodes(rows, bounds, dt, damping):
     """New velocities of the nodes, eq. 9 (F-bar), with local damping.
 
@@ -197,7 +198,7 @@ def update_nodes(rows, bounds, dt, damping):
                     rows[tile, n, INCREMENT + k] = 0.0
 
 
-@numba.njit(cache=True)
+@njit
 def reactions(rows, dt, places, components, values, counted):
     """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
 
@@ -220,7 +221,7 @@ def reactions(rows, dt, places, components, values, counted):
     return total
 
 
-@numba.njit(cache=True)
+@njit
 def constrain(rows, places, components, values):
     """Prescribe velocities of updated nodes."""
     flat = rows.reshape(-1, LANES)
@@ -230,7 +231,7 @@ def constrain(rows, places, components, values):
         flat[n, VELOCITY + k] = values[i]
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(parallel=True)
 def average_nodes(rows, sums):
     """Volume-averaged J at the nodes (F-bar, eq. 19) in place of its sums ``(n_tiles, nodes, 1)``.
 

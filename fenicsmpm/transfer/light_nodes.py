@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
+
+from fenicsmpm._njit import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -70,7 +71,7 @@ class LightNodes:
         return sums
 
 
-@numba.njit(cache=True)
+@njit
 def _add_cells(cells: Any, values: Any, sums: Any) -> None:
     total = np.empty(values.shape[1])
     for c in range(len(cells)):

@@ -8,11 +8,11 @@ import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis import stencil_of
 from fenicsmpm.points import MaterialPoints
 
@@ -130,7 +130,7 @@ def _scalar_element(space: fem.FunctionSpace) -> Any:
     return (element.sub_elements[0] if element.block_size > 1 else element).basix_element
 
 
-@numba.njit(cache=True)
+@njit
 def _scatter(  # type: ignore[no-untyped-def]
     values, order, table, offsets, dofs, least, result
 ):

@@ -13,11 +13,11 @@ from typing import Any
 
 from mpi4py import MPI
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from fenicsmpm._njit import njit
 from fenicsmpm.points.migration import exchange
 from fenicsmpm.transfer.tiles import Integers, Layout, Nodes
 
@@ -26,7 +26,7 @@ _TAG = 4711
 Floats = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@njit
 def _pack(tiles, chosen, columns, packed):
     for t in range(len(chosen)):
         for n in range(tiles.shape[1]):
@@ -34,7 +34,7 @@ def _pack(tiles, chosen, columns, packed):
                 packed[t, n, i] = tiles[chosen[t], n, columns[i]]
 
 
-@numba.njit(cache=True)
+@njit
 def _clear(tiles, chosen, columns):
     for t in range(len(chosen)):
         for n in range(tiles.shape[1]):
@@ -42,7 +42,7 @@ def _clear(tiles, chosen, columns):
                 tiles[chosen[t], n, columns[i]] = 0.0
 
 
-@numba.njit(cache=True)
+@njit
 def _add(tiles, chosen, columns, packed):
     for t in range(len(chosen)):
         for n in range(tiles.shape[1]):

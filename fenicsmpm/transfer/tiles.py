@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._njit import njit
 from fenicsmpm.basis.lattice import Lattice
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.lanes import LANES
@@ -122,14 +122,14 @@ def window(dim: int, width: int) -> Window:
     return Window(side, margin, size, far, near, size * far)
 
 
-@numba.njit(cache=True)
+@njit
 def first_node(t, n, width):
     """First node of the stencil of a point at t, in cells, of n nodes in a direction."""
     first = int(np.floor(t + 0.5)) - 1 if width == 3 else int(np.floor(t)) - (width - 1) // 2
     return min(max(first, 0), n - width)
 
 
-@numba.njit(cache=True)
+@njit
 def row_of(i, j, k, nodes, ids):
     """Row of a node by its numbers in each direction; -1 where there is no tile.
 
@@ -149,7 +149,7 @@ def row_of(i, j, k, nodes, ids):
     return (place * side[0] * side[1] * side[2]) + node
 
 
-@numba.njit(cache=True)
+@njit
 def sort_keys(x, nodes, width):
     """Numbers by which points ``(n, d)`` are sorted, and their occupied tiles.
 
@@ -192,7 +192,7 @@ def sort_keys(x, nodes, width):
     return keys, occupied
 
 
-@numba.njit(cache=True)
+@njit
 def fill_blocks(keys, per_tile, count):
     """Order of points in blocks of eight, of which each belongs to one tile.
 
@@ -241,7 +241,7 @@ class Units(NamedTuple):
     target: Numbers
 
 
-@numba.njit(cache=True)
+@njit
 def reaches(keys, nodes, occupied, width, margin):
     """First nodes ``(n_tiles, 3)`` that points of each tile may have, lowest and highest."""
     side = nodes.side
@@ -262,7 +262,7 @@ def reaches(keys, nodes, occupied, width, margin):
     return low, high
 
 
-@numba.njit(cache=True)
+@njit
 def around(x, nodes, width, margin):
     """First nodes ``(n, 3)`` that points ``(n, d)`` may have, lowest and highest."""
     low, high = np.zeros((len(x), 3), np.int64), np.zeros((len(x), 3), np.int64)
@@ -295,7 +295,7 @@ def lay(first: Integers, last: Integers, nodes: Nodes) -> Layout:
     return Layout(*_lay(first // nodes.side, last // nodes.side, nodes.tiles))
 
 
-@numba.njit(cache=True)
+@njit
 def _lay(lower, upper, tiles):
     low, box = np.zeros(3, np.int64), np.zeros(3, np.int64)
     if len(lower) > 0:
@@ -334,7 +334,7 @@ def _lay(lower, upper, tiles):
     return ids, is_touched, neighbours
 
 
-@numba.njit(cache=True)
+@njit
 def chunks_of(blocks, count):
     """First unit of each of some chunks of about as many blocks, ``(count + 1,)``."""
     chunks = np.zeros(count + 1, np.int64)
@@ -344,7 +344,7 @@ def chunks_of(blocks, count):
     return chunks
 
 
-@numba.njit(cache=True)
+@njit
 def targets(units, low, high, layout, nodes, width, chunks):
     """Tiles that units add to; a tile of several chunks has a copy for each but the first.
 

@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: MIT
+"""Functions compiled by numba and kept on disk until something that they use changes.
+
+Numba's own cache goes by the file of a function. It does not see that a function of another file
+has changed which the first one calls, and it does not keep functions that stand in others and use
+their variables. This one goes by what is compiled: bytecode and constants of a function, and of all
+that it refers to in globals and closures, which we call its fingerprint.
+
+All touches of numba's internals are in this module.
+"""
+
+# mypy: disable-error-code=misc
+
+from __future__ import annotations
+
+import dis
+import enum
+import functools
+import hashlib
+import itertools
+import logging
+import os
+import pickle
+import secrets
+import sys
+import types
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core.bytecode import FunctionIdentity
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
+from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
+from numba.core.types import BaseTuple, Type
+from numba.core.types import Callable as CallableType
+
+logger = logging.getLogger(__name__)
+
+# Symbols in compiled code have the name of the function and a number. Numba counts from 1 in each
+# process, so that code from the disk and code compiled now could have the same one, and the linker
+# would take one for the other.
+FunctionIdentity._unique_ids = itertools.count(secrets.randbits(60))
+
+_VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
+# Modules that are known by these versions
+_KNOWN = {*sys.stdlib_module_names, "numba", "llvmlite", "numpy"} - {"__main__"}
+# Variants of a function that are kept: dimensions, bases, laws, and laws that have been edited
+_MOST = 100
+_DOES_NOT_COMPILE = "does not compile"
+# Stands for a function while we walk through what it refers to
+_RECURSION = "recursion"
+
+
+def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """``numba.njit`` whose results are kept on disk, in the directory that numba would take.
+
+    Functions in functions are kept, too. What is found on the disk is used if function, options and
+    all that the function refers to are the same: other compiled functions, constants, versions of
+    numba and numpy. Where there is no place to keep it, as for functions typed on standard input,
+    it is compiled in each process.
+
+    Args:
+        function: to be compiled; if not given, a decorator is returned.
+        options: of ``numba.njit``, without ``cache``.
+    """
+    if function is None:
+        return functools.partial(njit, **options)
+    dispatcher = numba.njit(**options)(function)
+    dispatcher._cache = _Cache(dispatcher)
+    return dispatcher
+
+
+def compiles(dispatcher: Any, signature: Any) -> bool:
+    """Whether numba can compile a function for a signature; the answer is kept on disk."""
+    if not isinstance(dispatcher._cache, _Cache):
+        dispatcher._cache = _Cache(dispatcher)
+    cache = dispatcher._cache
+    codegen = dispatcher.targetctx.codegen()
+    if cache.read(signature, codegen) == _DOES_NOT_COMPILE:
+        return False
+    try:
+        dispatcher.compile(signature)
+    except NumbaError:
+        cache.write(signature, codegen, lambda: _DOES_NOT_COMPILE)
+        return False
+    return True
+
+
+class _Cache(NullCache):
+    """What a dispatcher asks for compiled code, and gives it to: a file for each signature."""
+
+    def __init__(self, dispatcher: Dispatcher) -> None:
+        """Of a dispatcher."""
+        self._dispatcher = dispatcher
+        # fingerprints with which signatures were compiled in this process
+        self.compiled_as: set[str] = set()
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Compiled code from the disk, or None."""
+        target_context.refresh()
+        try:
+            self.compiled_as.add(_Walk().of_dispatcher(self._dispatcher))
+        except _UnknownError:
+            return None
+        payload = self.read(signature, target_context.codegen())
+        if payload is None or payload == _DOES_NOT_COMPILE:
+            return None
+        return CompileResult._rebuild(target_context, *payload)
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep compiled code, if that is possible."""
+        place = self._place
+        if place is not None and place.check_cachable(result):
+            self.write(signature, result.codegen, lambda: place.reduce(result))
+
+    @property
+    def cache_path(self) -> str | None:
+        """Directory."""
+        return None if self._place is None else self._place.locator.get_cache_path()
+
+    @functools.cached_property
+    def _place(self) -> CompileResultCacheImpl | None:
+        """What knows numba's directory for the function; None if there is none."""
+        try:
+            return CompileResultCacheImpl(self._dispatcher.py_func)
+        except (RuntimeError, OSError, TypeError) as error:
+            logger.debug("not kept on disk: %s", error)
+            return None
+
+    def _path(self, signature: Any, codegen: Any, to_write: bool) -> Path | None:
+        """File for a signature."""
+        if self._place is None:
+            return None
+        walk = _Walk()
+        try:
+            known = [walk.of_dispatcher(self._dispatcher), walk.of_signature(signature)]
+        except _UnknownError as unknown:
+            logger.debug("%r is not kept on disk: %s", self._dispatcher, unknown)
+            return None
+        if to_write and walk.outdated:
+            logger.debug("not kept on disk, as globals have changed since: %s", walk.outdated)
+            return None
+        name = f"{self._name}.{_digest([*known, repr(codegen.magic_tuple())])}.fenicsmpm"
+        return Path(self._place.locator.get_cache_path(), name)
+
+    @property
+    def _name(self) -> str:
+        function = self._dispatcher.py_func
+        module = Path(function.__code__.co_filename).stem
+        return f"{module}.{function.__qualname__}".replace("<", "").replace(">", "")[:150]
+
+    def read(self, signature: Any, codegen: Any) -> Any:
+        """What was kept for a signature, or None."""
+        path = self._path(signature, codegen, to_write=False)
+        if path is None:
+            return None
+        try:
+            content = path.read_bytes()
+            os.utime(path)  # the oldest ones are removed
+        except OSError:
+            return None
+        check, data = content[:32], content[32:]
+        if hashlib.sha256(data).digest() != check:
+            logger.debug("damaged file, compiled anew: %s", path)
+            return None
+        # the check guards against what else would make this fail
+        return pickle.loads(data)
+
+    def write(self, signature: Any, codegen: Any, payload: Callable[[], Any]) -> None:
+        """Keep something for a signature; other processes see all of it or nothing."""
+        path = self._path(signature, codegen, to_write=True)
+        if path is None:
+            return
+        data = dumps(payload())
+        draft = path.with_name(f"{path.name}.{secrets.token_hex(8)}.tmp")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            draft.write_bytes(hashlib.sha256(data).digest() + data)
+            os.replace(draft, path)
+            self._remove_oldest(path.parent)
+        except OSError as error:
+            logger.debug("not kept on disk: %s", error)
+            draft.unlink(missing_ok=True)
+
+    def _remove_oldest(self, directory: Path) -> None:
+        files = [
+            (entry.stat().st_mtime, entry.path)
+            for entry in os.scandir(directory)
+            if entry.name.startswith(f"{self._name}.") and entry.name.endswith(".fenicsmpm")
+        ]
+        for _, path in sorted(files, reverse=True)[_MOST:]:
+            Path(path).unlink(missing_ok=True)
+
+
+# --- what a function refers to -------------------------------------------------------------------
+
+
+class _UnknownError(Exception):
+    """Something of which we cannot say whether it is the same in another process."""
+
+
+def _digest(parts: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:40]
+
+
+def _is_known(name: str | None) -> bool:
+    """Whether a module is known by our list of versions."""
+    return name is not None and name.partition(".")[0] in _KNOWN
+
+
+class _Walk:
+    """Fingerprints of functions and all that they refer to.
+
+    Attributes:
+        outdated: compiled functions that were compiled when they referred to something else.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is known yet."""
+        self._functions: dict[int, str] = {}
+        self.outdated: list[Dispatcher] = []
+
+    def of_dispatcher(self, dispatcher: Dispatcher) -> str:
+        """Fingerprint of a compiled function."""
+        if id(dispatcher) in self._functions:
+            return self._functions[id(dispatcher)]
+        self._functions[id(dispatcher)] = _RECURSION
+        options = self._of((dispatcher.targetoptions, dispatcher.locals))
+        result = _digest([self._of_function(dispatcher.py_func), options, *_VERSIONS])
+        self._functions[id(dispatcher)] = result
+        cache = dispatcher._cache
+        if isinstance(cache, FunctionCache):
+            # It may hold what was compiled with functions that have changed since.
+            if dispatcher.overloads:
+                raise _UnknownError(f"{dispatcher} was in the cache of numba")
+            dispatcher._cache = _Cache(dispatcher)
+        elif isinstance(cache, _Cache) and dispatcher.overloads and cache.compiled_as != {result}:
+            self.outdated.append(dispatcher)
+        return result
+
+    def of_signature(self, signature: Any) -> str:
+        """Text that stands for the types of arguments."""
+        arguments, returned = normalize_signature(signature)
+        return self._of((*arguments, returned))
+
+    def _of_function(self, function: types.FunctionType) -> str:
+        if id(function) in self._functions:
+            return self._functions[id(function)]
+        self._functions[id(function)] = _RECURSION
+        code, names = function.__code__, _global_names(function.__code__)
+        parts = [_of_code(code), self._of((function.__defaults__, function.__kwdefaults__))]
+        for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+            try:
+                value = cell.cell_contents
+            except ValueError:
+                raise _UnknownError(f"{name} of {function} has no value yet") from None
+            parts.append(self._of_variable(name, value, code))
+        for name in names:
+            if name in function.__globals__:
+                parts.append(self._of_variable(name, function.__globals__[name], code))
+        self._functions[id(function)] = _digest(parts)
+        return self._functions[id(function)]
+
+    def _of_variable(self, name: str, value: Any, code: types.CodeType) -> str:
+        """A variable, and of a module all that the code could use of it."""
+        if not isinstance(value, types.ModuleType):
+            return f"{name} = {self._of(value)}"
+        parts = [f"{name} = {value.__name__}"]
+        if not _is_known(value.__name__):
+            for attribute in _attribute_names(code) & vars(value).keys():
+                parts.append(self._of_variable(attribute, vars(value)[attribute], code))
+        return _digest(sorted(parts))
+
+    def _of(self, value: Any) -> str:
+        kind = type(value)
+        if value is None or isinstance(
+            value, bool | int | float | complex | str | bytes | np.generic | np.dtype | np.ufunc
+        ):
+            return f"{kind.__module__}.{kind.__qualname__} {value!r}"
+        if isinstance(value, tuple | list):
+            return f"{kind.__qualname__} [{', '.join(self._of(each) for each in value)}]"
+        if isinstance(value, set | frozenset):
+            return f"set {sorted(self._of(each) for each in value)}"
+        if isinstance(value, dict):
+            return f"dict {sorted((self._of(k), self._of(v)) for k, v in value.items())}"
+        if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+            numbers = hashlib.sha256(value.tobytes()).hexdigest()
+            return f"array {value.dtype!r} {value.shape} {value.flags.writeable} {numbers}"
+        if isinstance(value, Dispatcher):
+            return self.of_dispatcher(value)
+        if isinstance(value, Type):
+            return self._of_type(value)
+        if isinstance(value, enum.Enum):
+            return f"{kind.__qualname__} {value.name} {self._of(value.value)}"
+        module = getattr(value, "__module__", None)
+        if _is_known(module):
+            return f"{module} {getattr(value, '__qualname__', kind.__qualname__)}"
+        if isinstance(value, types.FunctionType):
+            return self._of_function(value)
+        if isinstance(value, type):
+            members = list(value) if issubclass(value, enum.Enum) else ()
+            fields = getattr(value, "_fields", ())
+            return f"class {module} {value.__qualname__} {fields} {self._of(members)}"
+        if _is_known(kind.__module__) and module is not None:
+            # what numba was taught, such as an intrinsic
+            return f"{value!r} {self._of(getattr(value, '__wrapped__', None))} {_sources(module)}"
+        raise _UnknownError(f"{value!r} is no constant")
+
+    def _of_type(self, value: Type) -> str:
+        if isinstance(value, BaseTuple):
+            fields, each = getattr(value, "fields", ()), [self._of(t) for t in value.types]
+            return f"{value.name} {fields} {each}"
+        if isinstance(value, CallableType):
+            raise _UnknownError(f"{value} is a type of one process")
+        module = type(value).__module__
+        return f"{value}" if _is_known(module) else f"{value} {_sources(module)}"
+
+
+@functools.cache
+def _of_code(code: types.CodeType) -> str:
+    """Text that stands for bytecode and constants, not for the place in a file."""
+    constants = [
+        _of_code(c) if isinstance(c, types.CodeType) else f"{type(c)} {_ordered(c)}"
+        for c in code.co_consts
+    ]
+    arguments = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
+    names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+    return _digest([code.co_code.hex(), repr(arguments), repr(names), *constants])
+
+
+def _ordered(constant: Any) -> str:
+    """Text of a constant, the same in each process."""
+    if isinstance(constant, frozenset):
+        return repr(sorted(map(repr, constant)))
+    if isinstance(constant, tuple):
+        return repr([(type(each).__name__, _ordered(each)) for each in constant])
+    return repr(constant)
+
+
+@functools.cache
+def _nested(code: types.CodeType) -> tuple[types.CodeType, ...]:
+    """Code and that of functions in it."""
+    inner = [_nested(c) for c in code.co_consts if isinstance(c, types.CodeType)]
+    return (code, *itertools.chain(*inner))
+
+
+@functools.cache
+def _global_names(code: types.CodeType) -> list[str]:
+    """Names that are looked up among globals, sorted."""
+    instructions = itertools.chain(*(dis.get_instructions(each) for each in _nested(code)))
+    loads = ("LOAD_GLOBAL", "LOAD_NAME")
+    return sorted({each.argval for each in instructions if each.opname in loads})
+
+
+@functools.cache
+def _attribute_names(code: types.CodeType) -> set[str]:
+    """Names among which are those of attributes."""
+    return {name for each in _nested(code) for name in each.co_names}
+
+
+@functools.cache
+def _sources(module: str) -> str:
+    """Text that stands for the sources of a module and those beside it in its package."""
+    loaded = sys.modules.get(module)
+    path = Path(getattr(loaded, "__file__", None) or "")
+    if not path.is_file():
+        raise _UnknownError(f"module {module} has no file")
+    in_package = bool(getattr(loaded, "__package__", ""))
+    files = sorted(path.parent.glob("*.py")) if in_package else [path]
+    return _digest(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)
