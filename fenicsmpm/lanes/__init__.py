@@ -20,6 +20,7 @@ from fenicsmpm.lanes.rows import (
     between,
     choose,
     rough_inverse_cube_root,
+    scaled,
     zero_line,
     zeros,
 )
@@ -38,6 +39,7 @@ __all__ = [
     "number_at",
     "prefetch",
     "rough_inverse_cube_root",
+    "scaled",
     "store",
     "store_column",
     "store_integers",

@@ -5,7 +5,7 @@ A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``m
 ``math.exp`` and ``math.floor`` act on each of its lanes; of NaN and a number, ``min`` and ``max``
 give the number. So what is written for one point can be compiled for eight of them, if it has no
 branches. Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four numbers of an array
-``(n, 4)``, which can only be summed up.
+``(n, 4)``, which can only be scaled and summed up.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
@@ -175,6 +175,17 @@ def add_scaled(_typing, total, factor, vector):
         return _call(builder, "fma", kind, splat(builder, factor, kind), vector, total)
 
     return total(total, types.float64, total), generate
+
+
+@intrinsic
+def scaled(_typing, factor, line):
+    """Factor * line."""
+
+    def generate(_context, builder, _signature, arguments):
+        factor, line = arguments
+        return builder.fmul(splat(builder, factor, SHORT_VECTOR), line, flags=_FUSE)
+
+    return LINE(types.float64, LINE), generate
 
 
 @intrinsic

@@ -44,6 +44,7 @@ from fenicsmpm.lanes import (
     load_line,
     number_at,
     prefetch,
+    scaled,
     store,
     store_column,
     store_line,
@@ -63,7 +64,9 @@ _parallel = njit(parallel=True)
 # Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)
 _AHEAD = 8
 
-_LINES = LANES * LANES  # numbers of the lines of a block, one line of each of its points
+# First lines of four of a block's points: rows of values, and then slopes in each direction, of
+# which the half is kept that has any: velocities, or forces
+_X, _Y, _Z, _ALL = 2 * LANES, 3 * LANES, 4 * LANES, 5 * LANES
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
 
 
@@ -147,39 +150,48 @@ def transfers(
             store_column(lines, MOMENTUM + k, LANES, m * load(body.v, block * dim + k))
             for j in range(dim):
                 force = -V * load(s, first + 3 * j + k)
-                store_column(lines, (1 + k) * _LINES + FORCE + j, LANES, force)
+                place = (_X + k * LANES) * LINE_LANES + FORCE % LINE_LANES + j
+                store_column(lines, place, LINE_LANES, force)
+
+    @_inline
+    def add_line(lines, node, factor, line):
+        store_line(lines, node, add_scaled(load_line(lines, node), factor, line))
 
     @_inline
     def add_to_nodes(i, base, w, d, lines, rows):
-        """Add the i-th point of a block to its nodes."""
-        value, by_x, by_y = load(lines, i), load(lines, LANES + i), load(lines, 2 * LANES + i)
-        by_z = load(lines, 3 * LANES + i)
+        """Add the i-th point of a block to its nodes, each half of a row as what it needs."""
+        low, high = load_line(lines, 2 * i), load_line(lines, 2 * i + 1)
+        by_x, by_y = load_line(lines, _X + i), load_line(lines, _Y + i)
+        by_z = load_line(lines, _Z + i)
         for a in range(width):
             w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
-            value_a = add_scaled(w_a * value, d_a, by_x)
-            y_a, z_a = w_a * by_y, w_a * by_z
+            low_a, high_a = scaled(w_a, low), add_scaled(scaled(w_a, high), d_a, by_x)
+            y_a, z_a = scaled(w_a, by_y), scaled(w_a, by_z)
             for b in range(width):
                 w_b = number_at(w, (width + b) * LANES + i)
                 d_b = number_at(d, (width + b) * LANES + i)
-                node = base[i] + a * far + b * near
+                first = 2 * (base[i] + a * far + b * near)
                 if dim == 2:
-                    total = add_scaled(load(rows, node), w_b, value_a)
-                    store(rows, node, add_scaled(total, d_b, y_a))
+                    add_line(rows, first, w_b, low_a)
+                    total = add_scaled(load_line(rows, first + 1), w_b, high_a)
+                    store_line(rows, first + 1, add_scaled(total, d_b, y_a))
                 else:
-                    value_b = add_scaled(w_b * value_a, d_b, y_a)
-                    z_b = w_b * z_a
+                    low_b = scaled(w_b, low_a)
+                    high_b, z_b = add_scaled(scaled(w_b, high_a), d_b, y_a), scaled(w_b, z_a)
                     for c in range(depth):
                         w_c = number_at(w, (2 * width + c) * LANES + i)
                         d_c = number_at(d, (2 * width + c) * LANES + i)
-                        total = add_scaled(load(rows, node + c), w_c, value_b)
-                        store(rows, node + c, add_scaled(total, d_c, z_b))
+                        line = first + 2 * c
+                        add_line(rows, line, w_c, low_b)
+                        total = add_scaled(load_line(rows, line + 1), w_c, high_b)
+                        store_line(rows, line + 1, add_scaled(total, d_c, z_b))
 
     @_njit
     def scatter(chunk, units, nodes, half, body, sigma, rows):
         """Points with known stresses (3, 3) to the nodes."""
         base = np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        lines, scratch = scratch_rows(4 * LANES, LANES), scratch_rows(count, LANES)
+        lines, scratch = scratch_rows(_ALL, LINE_LANES), scratch_rows(count, LANES)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
             copies.clear_rows(scratch)
             lower = units.lower[unit]
@@ -193,40 +205,42 @@ def transfers(
 
     @_inline
     def from_nodes(i, base, w, d, rows, lines):
-        """Values and slopes of all that nodes have, at the i-th point of a block."""
-        value, by_x, by_y, by_z = zeros(), zeros(), zeros(), zeros()
+        """Values of all that nodes have, and slopes of velocities, at the i-th point of a block."""
+        low, high = zero_line(), zero_line()
+        by_x, by_y, by_z = zero_line(), zero_line(), zero_line()
         for a in range(width):
             w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
-            value_a, y_a, z_a = zeros(), zeros(), zeros()
+            low_a, high_a, y_a, z_a = zero_line(), zero_line(), zero_line(), zero_line()
             for b in range(width):
                 w_b = number_at(w, (width + b) * LANES + i)
                 d_b = number_at(d, (width + b) * LANES + i)
-                node = base[i] + a * far + b * near
+                first = 2 * (base[i] + a * far + b * near)
                 if dim == 2:
-                    line = load(rows, node)
+                    low_b, high_b = load_line(rows, first), load_line(rows, first + 1)
                 else:
-                    line, slope = zeros(), zeros()
+                    low_b, high_b, slope = zero_line(), zero_line(), zero_line()
                     for c in range(depth):
-                        nodal = load(rows, node + c)
-                        line = add_scaled(line, number_at(w, (2 * width + c) * LANES + i), nodal)
+                        w_c = number_at(w, (2 * width + c) * LANES + i)
+                        nodal = load_line(rows, first + 2 * c)
+                        low_b = add_scaled(low_b, w_c, nodal)
                         slope = add_scaled(slope, number_at(d, (2 * width + c) * LANES + i), nodal)
+                        high_b = add_scaled(high_b, w_c, load_line(rows, first + 2 * c + 1))
                     z_a = add_scaled(z_a, w_b, slope)
-                value_a = add_scaled(value_a, w_b, line)
-                y_a = add_scaled(y_a, d_b, line)
-            value = add_scaled(value, w_a, value_a)
-            by_x = add_scaled(by_x, d_a, value_a)
+                low_a = add_scaled(low_a, w_b, low_b)
+                high_a = add_scaled(high_a, w_b, high_b)
+                y_a = add_scaled(y_a, d_b, low_b)
+            low = add_scaled(low, w_a, low_a)
+            high = add_scaled(high, w_a, high_a)
+            by_x = add_scaled(by_x, d_a, low_a)
             by_y = add_scaled(by_y, w_a, y_a)
             if dim == 3:
                 by_z = add_scaled(by_z, w_a, z_a)
-        store(lines, i, value)
-        store(lines, LANES + i, by_x)
-        store(lines, 2 * LANES + i, by_y)
+        store_line(lines, 2 * i, low)
+        store_line(lines, 2 * i + 1, high)
+        store_line(lines, _X + i, by_x)
+        store_line(lines, _Y + i, by_y)
         if dim == 3:
-            store(lines, 3 * LANES + i, by_z)
-
-    @_inline
-    def add_line(lines, node, factor, line):
-        store_line(lines, node, add_scaled(load_line(lines, node), factor, line))
+            store_line(lines, _Z + i, by_z)
 
     @_njit
     def gather(chunk, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found):
@@ -237,11 +251,8 @@ def transfers(
         """
         base = np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        f, shares, lines = (
-            scratch_rows(9, LANES),
-            scratch_rows(1, LANES),
-            scratch_rows(4 * LANES, LANES),
-        )
+        f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
+        lines = scratch_rows(_ALL, LINE_LANES)
         last_w = scratch_rows(LANES, LINE_LANES)
         scratch, work = scratch_rows(count, LANES), np.empty(count)
         averages = scratch_rows(count + SPARE, LINE_LANES)
@@ -280,7 +291,8 @@ def transfers(
                 # eq. 16
                 for k in range(dim):
                     for j in range(dim):
-                        rate = load_column(lines, (1 + k) * _LINES + VELOCITY + j, LANES)
+                        first = (_X + k * LANES) * LINE_LANES + VELOCITY + j
+                        rate = load_column(lines, first, LINE_LANES)
                         if rates:
                             store(body.L, tensor + j * dim + k, rate)
                         store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
@@ -356,7 +368,7 @@ def transfers(
         F_bar, rate, stress = scratch_rows(9, LANES), scratch_rows(9, LANES), scratch_rows(9, LANES)
         work, state_i = np.zeros((3, 3, 3)), np.empty(n_state)
         F_bar[8] = 1.0
-        lines, average_lines = scratch_rows(4 * LANES, LANES), scratch_rows(LANES, LINE_LANES)
+        lines, average_lines = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
         scratch, means_of = scratch_rows(count, LANES), np.zeros(count + SPARE)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
             if average:
