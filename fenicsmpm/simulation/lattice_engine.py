@@ -207,8 +207,8 @@ class LatticeEngine:
 
     def _relieve(self, forces: Array, column: int, threshold: float) -> None:
         grid.relieve(
-            self.rows, self._bounds, forces, column, self._layout.neighbours, self._layout.ids,
-            self.nodes, threshold,
+            self.rows, self._bounds, forces, column, forces is not self.rows,
+            self._layout.neighbours, self._layout.ids, self.nodes, threshold,
         )  # fmt: skip
 
     def add_loads(

@@ -121,7 +121,7 @@ def _around(tile, n, ids, nodes, neighbours, around, cells):
 
 
 @njit
-def relieve(rows, bounds, forces, column, neighbours, ids, nodes, threshold):
+def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, threshold):
     """Move forces from light nodes to those around them, as ``light_nodes.LightNodes`` does.
 
     Args:
@@ -129,6 +129,7 @@ def relieve(rows, bounds, forces, column, neighbours, ids, nodes, threshold):
         bounds: of the masses in each tile, see ``masses``.
         forces: ``(n_tiles, nodes, n)``, changed in place.
         column: first of the three with the forces.
+        has_empty: whether there may be forces where there is no mass.
         neighbours: ``(n_tiles, 27)`` tiles around each.
         ids: ``(n_tiles,)`` numbers of the tiles.
         nodes: of the lattice.
@@ -145,7 +146,8 @@ def relieve(rows, bounds, forces, column, neighbours, ids, nodes, threshold):
         for other in neighbours[tile]:
             if other >= 0:
                 largest = max(largest, bounds[other, 1])
-        if not bounds[tile, 0] < threshold * largest:
+        # the points' own forces are where there is mass
+        if not has_empty and not bounds[tile, 0] < threshold * largest:
             continue
         for n in range(per_tile):
             m, place = rows[tile, n, MASS], tile * per_tile + n
