@@ -111,7 +111,7 @@ def test_homogeneous_deformation(basis, dim):
         assert in_order(body, "u") == pytest.approx(moved - X, abs=1e-13)
         J = np.full(n, np.linalg.det(F))
         assert body["J"] == pytest.approx(J, rel=1e-13)
-        assert body["J_bar"] == pytest.approx(J, rel=1e-12)
+        assert fbar is None or body["J_bar"] == pytest.approx(J, rel=1e-12)
         assert body.weight == pytest.approx(J * body["V_0"], rel=1e-13)
         expected = stress(RUBBER, body["F"])
         assert body["sigma"] == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
@@ -416,7 +416,7 @@ def test_wrong_input():
     with pytest.raises(ValueError, match="axis-parallel boxes"):
         simulate(W, {other: RUBBER})
     new = points.fill(V.mesh, 1)
-    with pytest.raises(ValueError, match=r"without the fields mass, .*set_initial_state"):
+    with pytest.raises(ValueError, match=r"without the fields F, J, mass, V_0 .*set_initial_state"):
         simulate(V, {new: RUBBER})
     with pytest.raises(ValueError, match="without the fields C_p_inverse, eps_p"):
         simulate(V, {body: VonMises(1.0, 0.3, sigma_y=1.0)})

@@ -15,10 +15,11 @@ from explicit_runs import simulate
 from fenicsmpm import RigidBox, UnstableError, formulations, io, points
 from fenicsmpm.basis.blocks import in_blocks, plain_order, stencils
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
+from fenicsmpm.basis.windows import window
 from fenicsmpm.diagnostics import mean_stress, momentum
 from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law, NeoHookean, VonMises, compiled
-from fenicsmpm.transfer.tiles import make_nodes, window
+from fenicsmpm.transfer.tiles import make_nodes
 
 COMM = MPI.COMM_WORLD
 RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()

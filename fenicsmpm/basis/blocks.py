@@ -32,8 +32,8 @@ from fenicsmpm.basis.lines import (
     quadratic,
     quadratic_inside,
 )
+from fenicsmpm.basis.windows import ON_WALL, window
 from fenicsmpm.lanes import LANES, between, choose, load, store, store_integers, zeros
-from fenicsmpm.transfer.tiles import ON_WALL, window
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 # Calls in the loops over points would cost more than what they do. What is inlined need not be kept

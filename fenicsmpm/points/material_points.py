@@ -248,8 +248,9 @@ class MaterialPoints(PointArrays):
                 "make new MaterialPoints from their positions"
             )
         raise_together(self._comm, error)
-        self._data.settle()
-        global_cell, cell, xi = find_cells(self._comm, self._locator, positions, self._data["cell"])
+        self._data.settle(but=("x", "cell", "xi"))
+        near = self._data.present().get("cell")
+        global_cell, cell, xi = find_cells(self._comm, self._locator, positions, near)
         self._data.update({"x": positions, "cell": cell, "xi": xi})
         self._send_home(global_cell)
 

@@ -27,7 +27,7 @@ belong: the lowest of those that touch the point, among the cells of its owner. 
 number of points on the rank and on all ranks are never pending.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import TypeAlias
 
 import numpy as np
@@ -98,10 +98,10 @@ class FieldTable(Mapping[str, npt.NDArray]):
         """The arrays that are not pending."""
         return {name: a for name, a in self._arrays.items() if name not in self._pending}
 
-    def settle(self) -> None:
-        """Bring all arrays up to date."""
+    def settle(self, but: Collection[str] = ()) -> None:
+        """Bring all arrays up to date, but for some that are to be replaced."""
         for name in list(self._pending):
-            if name in self._pending:  # it did not come with another one
+            if name in self._pending and name not in but:  # it did not come with another one
                 self._bring(name)
 
     def defer(

@@ -15,6 +15,7 @@ from dolfinx import fem, la
 from fenicsmpm import forms
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.location import locator
 from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
@@ -91,6 +92,8 @@ class OnLattice:
         stays = may_stay and self.longest > 1
         if self.is_open and self._has_changed():
             self.settle()
+        if not self.is_open:
+            raise_together(sim.velocity.function_space.mesh.comm, self._not_plane())
         try:
             if not self.is_open:
                 with clock("begin"):
@@ -128,6 +131,23 @@ class OnLattice:
         self._engine.begin(sim.laws, sim.bcs)
         self.is_open, self._count = True, 0
 
+    def _not_plane(self) -> ValueError | None:
+        """What is wrong if kernels in the plane would lose a part of F."""
+        if self._dim == 3:
+            return None
+        for body in self._sim.bodies:
+            F = body["F"]
+            out_of_plane = np.array(
+                [F[:, 2, 2] - 1, F[:, 0, 2], F[:, 1, 2], F[:, 2, 0], F[:, 2, 1]]
+            )
+            if np.any(out_of_plane != 0):
+                return ValueError(
+                    "fused kernels in the plane need deformation gradients with F33 = 1 and no "
+                    "shear out of the plane: multiply internal_force by a fem.Constant, and it "
+                    "goes by forms, which keep all of F"
+                )
+        return None
+
     def _has_changed(self) -> bool:
         """Whether points were looked at, or laws or conditions replaced (collective)."""
         sim = self._sim
@@ -162,8 +182,8 @@ class OnLattice:
         if not self.is_open:
             return
         sort = self._unsorted >= STEPS_OF_A_BLOCK
+        self._before = []  # not to be in memory twice
         self._engine.settle(sort)
-        self._before = []
         self.is_open = False
         if sort:
             self._unsorted = 0

@@ -13,6 +13,7 @@ from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows, in_blocks, out_of_blocks, plain_order
 from fenicsmpm.basis.lattice_stencil import half_size_in_cells
 from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.windows import MARGIN, ON_WALL
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law
@@ -25,8 +26,6 @@ from fenicsmpm.transfer.contact import contact
 from fenicsmpm.transfer.fused import transfers
 from fenicsmpm.transfer.sharing import Sharing, Sums
 from fenicsmpm.transfer.tiles import (
-    MARGIN,
-    ON_WALL,
     Integers,
     Layout,
     Nodes,
@@ -210,7 +209,7 @@ class Part:
             parameters=np.asarray(law.parameters),
         )
         self._sigma = in_blocks(points["sigma"], order)
-        self._reference = points.x - points["u"]
+        self._reference: Array | None = None  # initial positions, if those at the beginning go
         self._version = points.version
 
     def scatter(self) -> None:
@@ -218,7 +217,6 @@ class Part:
         self._kernels.scatter(
             self._units, self._nodes, self._half, self._working, self._sigma, _flat(self._all_rows)
         )
-        self._sigma = np.empty((0, LANES))
         grid.merge(self._all_rows, self._copies)
 
     @property
@@ -261,6 +259,7 @@ class Part:
             A block with a point that is inverted, not finite or outside, or -1; and whether a point
             has left its window.
         """
+        self._sigma = np.empty((0, LANES))  # of the step before
         r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
         self._all_sums[:] = 0.0
         bad, strays = self._kernels.gather(
@@ -318,7 +317,10 @@ class Part:
         if name == "x":
             return {"x": out_of_blocks(body.x, order, n, (d,))}
         if name == "u":
-            return {"u": out_of_blocks(body.x, order, n, (d,)) - self._reference}
+            x = out_of_blocks(body.x, order, n, (d,))
+            if self._reference is None:
+                return {"u": self.points["u"] + (x - self.points.x)}
+            return {"u": x - self._reference}
         if name == "v":
             return {"v": out_of_blocks(body.v, order, n, (d,))}
         if name == "J_bar":
@@ -337,6 +339,8 @@ class Part:
 
     def defer(self) -> None:
         """Have the points ask for what has changed when somebody looks at it."""
+        if self._reference is None:
+            self._reference = self.points.x - self.points["u"]
         self.points.defer(self.changing, self.provide)
         self._version = self.points.version
 

@@ -14,9 +14,10 @@ import numpy as np
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.windows import ON_WALL
 from fenicsmpm.lanes import LANES
 from fenicsmpm.transfer.grid_rows import MASS, VELOCITY
-from fenicsmpm.transfer.tiles import ON_WALL, row_of
+from fenicsmpm.transfer.tiles import row_of
 
 _njit = njit(**OPTIONS)
 

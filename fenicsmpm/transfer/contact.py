@@ -25,10 +25,10 @@ import numpy as np
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.windows import ON_WALL
 from fenicsmpm.lanes import LANES
 from fenicsmpm.transfer.carriers import node_rows
 from fenicsmpm.transfer.grid_rows import FORCE
-from fenicsmpm.transfer.tiles import ON_WALL
 
 _njit = njit(**OPTIONS)
 

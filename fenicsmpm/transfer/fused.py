@@ -32,6 +32,7 @@ import numpy as np
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import OPTIONS, stencils
 from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.windows import ON_WALL, window
 from fenicsmpm.lanes import (
     LANES,
     LINE_LANES,
@@ -54,7 +55,6 @@ from fenicsmpm.lanes import (
 from fenicsmpm.materials.tensors import cube_root
 from fenicsmpm.transfer.grid_rows import FORCE, INCREMENT, MASS, MOMENTUM, VELOCITY, VOLUME
 from fenicsmpm.transfer.stresses import stresses
-from fenicsmpm.transfer.tiles import ON_WALL, window
 from fenicsmpm.transfer.windows import SPARE, scratch_rows, windows
 
 _njit = numba.njit(**OPTIONS)

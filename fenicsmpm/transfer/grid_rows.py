@@ -73,13 +73,18 @@ def clear(rows):
 
 @njit(parallel=True)
 def masses(rows, bounds):
-    """Smallest and largest mass of the nodes in each tile that have some, into ``(n_tiles, 2)``."""
+    """Smallest and largest mass of the nodes in each tile, into ``(n_tiles, 2)``.
+
+    Empty nodes do not count, unless there is a force: points on walls have slopes of functions that
+    are zero there.
+    """
     for tile in numba.prange(len(rows)):
         low, high = np.inf, 0.0
         for n in range(rows.shape[1]):
             m = rows[tile, n, MASS]
             high = max(high, m)
-            low = min(low, m if m > _NOTHING else np.inf)
+            if m > _NOTHING or rows[tile, n, FORCE:].any():
+                low = min(low, m)
         bounds[tile, 0], bounds[tile, 1] = low, high
 
 
@@ -129,7 +134,7 @@ def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, thr
         bounds: of the masses in each tile, see ``masses``.
         forces: ``(n_tiles, nodes, n)``, changed in place.
         column: first of the three with the forces.
-        has_empty: whether there may be forces where there is no mass.
+        has_empty: whether there may be forces at nodes that the bounds do not count.
         neighbours: ``(n_tiles, 27)`` tiles around each.
         ids: ``(n_tiles,)`` numbers of the tiles.
         nodes: of the lattice.
@@ -146,7 +151,6 @@ def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, thr
         for other in neighbours[tile]:
             if other >= 0:
                 largest = max(largest, bounds[other, 1])
-        # the points' own forces are where there is mass
         if not has_empty and not bounds[tile, 0] < threshold * largest:
             continue
         for n in range(per_tile):

@@ -20,15 +20,9 @@ import numpy.typing as npt
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.lattice import Lattice
 from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.windows import ON_WALL, SIDE
 from fenicsmpm.lanes import LANES
 from fenicsmpm.points.sorting import sort_by_number
-
-# Nodes of a tile in each direction
-SIDE = {2: 8, 3: 4}
-# Cells that a point may drift until tiles are laid anew; tiles around a point's own one suffice
-MARGIN = {2: 2, 3: 1}
-# Points that are as near to a wall, in cells, are on it
-ON_WALL = 1e-9
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -89,37 +83,6 @@ def make_nodes(origin: Floats, spacing: Floats, cells: Integers) -> Nodes:
 def nodes_of(lattice: Lattice) -> Nodes:
     """Nodes of a lattice."""
     return make_nodes(lattice.origin, lattice.spacing, lattice.shape)
-
-
-class Window(NamedTuple):
-    """Shape of a window: a tile and its rim.
-
-    Attributes:
-        side: nodes of a tile in each direction.
-        margin: nodes before a tile's first one.
-        size: nodes in each direction.
-        far: distance in memory of nodes next to each other in the first direction.
-        near: the same in the second direction.
-        count: places in memory, of which some are not used.
-    """
-
-    side: int
-    margin: int
-    size: int
-    far: int
-    near: int
-    count: int
-
-
-def window(dim: int, width: int) -> Window:
-    """Window for functions of some nodes a direction."""
-    side, margin = SIDE[dim], MARGIN[dim]
-    size = side + width - 1 + 2 * margin
-    # an odd distance, since caches dislike powers of two
-    near = size if dim == 3 else 1
-    far = size * near
-    far += 1 - far % 2
-    return Window(side, margin, size, far, near, size * far)
 
 
 @njit

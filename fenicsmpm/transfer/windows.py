@@ -18,8 +18,8 @@ import numba
 import numpy as np
 
 from fenicsmpm.basis.blocks import OPTIONS
+from fenicsmpm.basis.windows import window
 from fenicsmpm.lanes import LANES, LINE_LANES, add_scaled, load, store, store_line, zero_line, zeros
-from fenicsmpm.transfer.tiles import window
 
 _njit = numba.njit(**OPTIONS)
 _inline = numba.njit(forceinline=True, **OPTIONS)
