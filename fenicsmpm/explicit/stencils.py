@@ -32,10 +32,12 @@ from fenicsmpm.basis.lines import (
     quadratic_inside,
 )
 from fenicsmpm.explicit.tiles import ON_WALL, window
-from fenicsmpm.lanes import LANES, between, choose, load, store, store_integers, zeros
+from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 # Not cached: numba would not find again what is compiled for functions that were passed to it
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
+# Least value of a function with a slope: without mass, its node would have no velocity
+_LEAST = 1e-14
 # calls in the loops over points would cost more than what they do
 _inline = numba.njit(forceinline=True, **OPTIONS)
 
@@ -125,8 +127,9 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
     inside, anywhere = _functions(kind)
     shape = window(dim, width)
     steps = (shape.far, shape.near, 1)
-    at_first = (1.0, *[0.0] * (width - 1))
-    at_last = (*[0.0] * (width - 1), 1.0)
+    # all functions are linear near a wall
+    at_first = (1.0 - _LEAST, _LEAST, *[0.0] * (width - 2))
+    at_last = (*[0.0] * (width - 2), _LEAST, 1.0 - _LEAST)
 
     @_inline
     def step(k, nodes):
@@ -139,7 +142,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
 
     @_inline
     def at_wall(t, cells, half):
-        """As ``anywhere``; on a wall, values are exact, so that it holds what is on it."""
+        """As ``anywhere``; on a wall, values are exact but for ``_LEAST``."""
         first, values, slopes = anywhere(min(max(t, 0.0), float(cells)), cells, half)
         if t < ON_WALL:
             return first, at_first, slopes
@@ -186,9 +189,8 @@ def _functions(kind: int) -> Any:
 
         @_inline
         def inside(t, cells, half):
-            t = choose(ON_WALL - t, 0.0, choose(t - (cells - ON_WALL), float(cells), t))
             c = min(max(math.floor(t), 0.0), cells - 1.0)
-            values, slopes, _ = linear(t - c)
+            values, slopes, _ = linear(min(max(t - c, _LEAST), 1.0 - _LEAST))
             return c, values, (zeros() + slopes[0], zeros() + slopes[1]), True
 
         @_inline
