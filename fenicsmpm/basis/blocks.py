@@ -32,8 +32,9 @@ from fenicsmpm.basis.lines import (
     quadratic,
     quadratic_inside,
 )
+from fenicsmpm.basis.stencil import LEAST
 from fenicsmpm.basis.windows import ON_WALL, window
-from fenicsmpm.lanes import LANES, between, choose, load, store, store_integers, zeros
+from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 # Calls in the loops over points would cost more than what they do. What is inlined need not be kept
@@ -126,8 +127,9 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
     inside, anywhere = _functions(kind)
     shape = window(dim, width)
     steps = (shape.far, shape.near, 1)
-    at_first = (1.0, *[0.0] * (width - 1))
-    at_last = (*[0.0] * (width - 1), 1.0)
+    # all functions are linear near a wall
+    at_first = (1.0 - LEAST, LEAST, *[0.0] * (width - 2))
+    at_last = (*[0.0] * (width - 2), LEAST, 1.0 - LEAST)
 
     @_inline
     def step(k, nodes):
@@ -140,7 +142,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
 
     @_inline
     def at_wall(t, cells, half):
-        """As ``anywhere``; on a wall, values are exact, so that it holds what is on it."""
+        """As ``anywhere``; on a wall, values are exact but for ``LEAST``."""
         first, values, slopes = anywhere(min(max(t, 0.0), float(cells)), cells, half)
         if t < ON_WALL:
             return first, at_first, slopes
@@ -187,9 +189,8 @@ def _functions(kind: int) -> Any:
 
         @_inline
         def inside(t, cells, half):
-            t = choose(ON_WALL - t, 0.0, choose(t - (cells - ON_WALL), float(cells), t))
             c = min(max(math.floor(t), 0.0), cells - 1.0)
-            values, slopes, _ = linear(t - c)
+            values, slopes, _ = linear(min(max(t - c, LEAST), 1.0 - LEAST))
             return c, values, (zeros() + slopes[0], zeros() + slopes[1]), True
 
         @_inline

@@ -13,6 +13,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+# Least value of a function that may have a slope, for explicit steps: without mass, the far node of
+# a point on a wall or a grid line would have no velocity
+LEAST = 1e-14
+
 if TYPE_CHECKING:
     from fenicsmpm.points.geometry import CellGeometry
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 # Nodes of a tile in each direction
 SIDE = {2: 8, 3: 4}
 # Cells that a point may drift until tiles are laid anew; tiles around a point's own one suffice
-MARGIN = {2: 2, 3: 1}
+MARGIN = {2: 1, 3: 1}
 # Points that are as near to a wall, in cells, are on it
 ON_WALL = 1e-9
 

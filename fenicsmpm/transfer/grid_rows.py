@@ -73,18 +73,13 @@ def clear(rows):
 
 @njit(parallel=True)
 def masses(rows, bounds):
-    """Smallest and largest mass of the nodes in each tile, into ``(n_tiles, 2)``.
-
-    Empty nodes do not count, unless there is a force: points on walls have slopes of functions that
-    are zero there.
-    """
+    """Smallest and largest mass of the nodes in each tile that have some, into ``(n_tiles, 2)``."""
     for tile in numba.prange(len(rows)):
         low, high = np.inf, 0.0
         for n in range(rows.shape[1]):
             m = rows[tile, n, MASS]
             high = max(high, m)
-            if m > _NOTHING or rows[tile, n, FORCE:].any():
-                low = min(low, m)
+            low = min(low, m if m > _NOTHING else np.inf)
         bounds[tile, 0], bounds[tile, 1] = low, high
 
 

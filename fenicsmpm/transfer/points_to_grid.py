@@ -26,7 +26,7 @@ def p2g(
     values: npt.NDArray[np.float64],
     space: fem.FunctionSpace,
     *,
-    rounded: bool = False,
+    least: float | None = 0.0,
 ) -> la.Vector:
     """Sum point values to the grid, ``sum_p N_I(x_p) values_p``.
 
@@ -34,7 +34,8 @@ def p2g(
         points: the point set.
         values: ``(n_points,)`` or ``(n_points, size)`` in storage order, such as the weights.
         space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are taken.
-        rounded: take functions that may be zero but for round-off for its largest size.
+        least: take functions that are smaller for this; None for the largest round-off that one
+            that is zero may have.
 
     Returns:
         Vector with ``size`` numbers a node, summed over all ranks, ghosts up to date (collective).
@@ -46,9 +47,9 @@ def p2g(
     table = stencil.table(_scalar_element(space), 0)
     rows = values.reshape(len(points), size)
     nodes = result.array.reshape(-1, size)
-    least = stencil.least if rounded else np.zeros(len(stencil.least))
+    limits = stencil.least if least is None else np.full(len(stencil.least), least)
     dofs = stencil.dofs(space)
-    _scatter(rows, stencil.order, table[:, 0, :], stencil.offsets, dofs, least, nodes)
+    _scatter(rows, stencil.order, table[:, 0, :], stencil.offsets, dofs, limits, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
     return result
@@ -82,7 +83,7 @@ def project(
         # A node that points see by round-off only has a mass of any sign. With a positive
         # share instead it gets a mean of what is near.
         sums = sum(
-            p2g(points, _columns(points, fields, slopes, mass), space, rounded=True).array
+            p2g(points, _columns(points, fields, slopes, mass), space, least=None).array
             for points in point_sets
         )
         dim, size = space.mesh.geometry.dim, space.dofmap.index_map_bs
