@@ -158,8 +158,11 @@ class ByForms:
         self._force = la.vector(V.dofmap.index_map, self._dim)
         # loads act at surfaces, where more nodes are light
         self._forms = [
-            (forms.form(part), light)
-            for part, light in ((residual.at_bodies, LIGHT), (residual.elsewhere, LIGHT_FOR_LOADS))
+            (forms.form(part), light, of_loads)
+            for part, light, of_loads in (
+                (residual.at_bodies, LIGHT, False),
+                (residual.elsewhere, LIGHT_FOR_LOADS, True),
+            )
             if part is not None
         ]
         self._maps_back = functions_of(sim.bodies[0]) == "linear"
@@ -277,13 +280,13 @@ class ByForms:
         """Minus the residual, with that of light nodes given to their neighbours."""
         force = self._force
         total = np.zeros_like(force.array)
-        for form, light in self._forms:
+        for form, light, of_loads in self._forms:
             force.array[:] = 0.0
             forms.assemble_vector(form, force)
             force.scatter_reverse(la.InsertMode.add)
             force.scatter_forward()
             nodes = force.array.reshape(-1, self._dim)
-            self._light_nodes.relieve(self.mass.x.array, nodes, light)
+            self._light_nodes.relieve(self.mass.x.array, nodes, light, of_loads)
             total -= force.array
         force.array[:] = total
 
@@ -384,7 +387,7 @@ class ByForms:
 
     def __repr__(self) -> str:
         """What is done by forms: everything."""
-        return "by forms: " + "; ".join(f"{form}" for form, _ in self._forms)
+        return "by forms: " + "; ".join(f"{form}" for form, *_ in self._forms)
 
 
 def _fault(points: MaterialPoints, new: Mapping[str, Array]) -> str | None:

@@ -202,6 +202,7 @@ class OnLattice:
                 messages += engine.push(box, velocity, dt)
             engine.sum_nodes(sim.residual.gravity)
         with clock("forces"):
+            engine.relieve_light_nodes()
             messages += self._forces()
         with clock("grid"):
             reaction = engine.move_nodes(dt, sim.damping)

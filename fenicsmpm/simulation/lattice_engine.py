@@ -203,12 +203,15 @@ class LatticeEngine:
         assert self._sums is not None
         self._sums.add(self.rows)
         grid.masses(self.rows, self._bounds)
-        self._relieve(self.rows, grid.FORCE, LIGHT)
 
-    def _relieve(self, forces: Array, column: int, threshold: float) -> None:
+    def relieve_light_nodes(self) -> None:
+        """Move the points' own forces from nodes of nearly no mass to those around them."""
+        self._relieve(self.rows, grid.FORCE, of_loads=False)
+
+    def _relieve(self, forces: Array, column: int, of_loads: bool) -> None:
         grid.relieve(
-            self.rows, self._bounds, forces, column, forces is not self.rows,
-            self._layout.neighbours, self._layout.ids, self.nodes, threshold,
+            self.rows, self._bounds, forces, column, of_loads, self._layout.neighbours,
+            self._layout.ids, self.nodes, LIGHT_FOR_LOADS if of_loads else LIGHT,
         )  # fmt: skip
 
     def add_loads(
@@ -242,7 +245,7 @@ class LatticeEngine:
             link = self._dof_link()
             flat = self._forces.reshape(-1, 3)
             flat[link.places, : self._dim] += link.spread(at_nodes)
-        self._relieve(self._forces, 0, LIGHT_FOR_LOADS)
+        self._relieve(self._forces, 0, of_loads=True)
         self.rows[:, :, grid.FORCE :] += self._forces
         return messages
 
@@ -255,7 +258,7 @@ class LatticeEngine:
         link = self._dof_link()
         nodal = np.zeros((len(self.rows), self.nodes.per_tile, 3))
         nodal.reshape(-1, 3)[link.places, : self._dim] += link.spread(forces)
-        self._relieve(nodal, 0, LIGHT)
+        self._relieve(nodal, 0, of_loads=False)
         self.rows[:, :, grid.FORCE :] += nodal
 
     def move_nodes(self, dt: float, damping: float) -> Array:

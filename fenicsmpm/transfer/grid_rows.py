@@ -121,7 +121,7 @@ def _around(tile, n, ids, nodes, neighbours, around, cells):
 
 
 @njit
-def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, threshold):
+def relieve(rows, bounds, forces, column, of_loads, neighbours, ids, nodes, threshold):
     """Move forces from light nodes to those around them, as ``light_nodes.LightNodes`` does.
 
     Args:
@@ -129,7 +129,7 @@ def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, thr
         bounds: of the masses in each tile, see ``masses``.
         forces: ``(n_tiles, nodes, n)``, changed in place.
         column: first of the three with the forces.
-        has_empty: whether there may be forces at nodes that the bounds do not count.
+        of_loads: whether they may be where there is no mass, and light nodes take a share.
         neighbours: ``(n_tiles, 27)`` tiles around each.
         ids: ``(n_tiles,)`` numbers of the tiles.
         nodes: of the lattice.
@@ -146,7 +146,7 @@ def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, thr
         for other in neighbours[tile]:
             if other >= 0:
                 largest = max(largest, bounds[other, 1])
-        if not has_empty and not bounds[tile, 0] < threshold * largest:
+        if not of_loads and not bounds[tile, 0] < threshold * largest:
             continue
         for n in range(per_tile):
             m, place = rows[tile, n, MASS], tile * per_tile + n
@@ -158,7 +158,7 @@ def relieve(rows, bounds, forces, column, has_empty, neighbours, ids, nodes, thr
                 count += cells[i]
             if m * count < threshold * total:
                 light.append(place)
-                share = 1.0 - m * count / (threshold * total)
+                share = 1.0 - m * count / (threshold * total) if of_loads else 1.0
                 given.append(share * f[place, column : column + 3])
                 totals.append(total)
     for i in range(len(light)):

@@ -3,8 +3,8 @@
 
 Where points hardly reach a node, what it gets of their mass is round-off, or nearly so, and forces
 on it would throw it ahead. So a node whose mass is below a share of the mean around it takes less
-of the force, and what is left goes to the nodes around it in proportion to their masses: momentum
-is kept. Its velocity stays momentum by mass.
+of the force or none, and what is left goes to the nodes around it in proportion to their masses:
+momentum is kept. Its velocity stays momentum by mass.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ class LightNodes:
         nodes = space.dofmap.index_map
         self._counts = self._sum_over_cells(np.ones((nodes.size_local + nodes.num_ghosts, 1)))
 
-    def relieve(self, mass: Array, force: Array, threshold: float) -> None:
+    def relieve(self, mass: Array, force: Array, threshold: float, gradually: bool) -> None:
         """Move forces from light nodes to those around them (collective).
 
         Args:
             mass: ``(n_nodes,)`` of all local nodes, ghosts up to date [kg].
             force: ``(n_nodes, d)`` the same of forces [N], changed in place.
             threshold: share of the mean mass around a node, below which it is light.
+            gradually: whether a light node takes a share that grows with its mass; else none.
         """
         total = self._sum_over_cells(mass[:, None])
         limit = threshold * (total / self._counts)[:, 0]
@@ -55,7 +56,9 @@ class LightNodes:
         if not self._space.mesh.comm.allreduce(bool(force[light].any())):
             return
         given = np.zeros_like(force)
-        given[light] = (1 - mass[light] / limit[light])[:, None] * force[light]
+        given[light] = force[light]
+        if gradually:
+            given[light] *= (1 - mass[light] / limit[light])[:, None]
         force -= given
         given[light] /= total[light]
         force += mass[:, None] * self._sum_over_cells(given)
