@@ -173,7 +173,7 @@ def flight(comm, basis="quadratic", interval=None, velocity=(4.0, 1.0), n=24, st
     }
 
 
-@pytest.mark.parametrize("basis", BASES)
+@pytest.mark.parametrize("basis", BASES[1:])  # linear functions go by forms
 def test_points_that_drift_out_of_their_tile(basis, monkeypatch):
     """Over 11 cells in one block of steps, and laid anew in each step: the same."""
     laid = []
@@ -181,7 +181,7 @@ def test_points_that_drift_out_of_their_tile(basis, monkeypatch):
     monkeypatch.setattr(LatticeEngine, "_lay", lambda self: (laid.append(1), lay(self))[1])
     at_once = flight(MPI.COMM_SELF, basis, interval=1.0)
     assert 4 < len(laid) < 40
-    each = flight(MPI.COMM_SELF, basis)
+    each = flight(MPI.COMM_SELF, basis, interval=2e-3)
     for name, a in each.items():
         assert at_once[name] == pytest.approx(a, abs=1e-10 * np.abs(a).max()), name
 

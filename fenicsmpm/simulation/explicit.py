@@ -260,6 +260,8 @@ class ExplicitMPM:
                 density = float(np.min(points["mass"] / points["V_0"]))
                 speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
+        if sum(points.size_global for points in self.bodies) == 0:
+            raise ValueError("all bodies are empty: there are no points to move")
         fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
         return self._h / fastest if fastest > 0 else math.inf
 

@@ -25,7 +25,7 @@ from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS
-from fenicsmpm.transfer.sharing import DofLink, Sharing, Sums
+from fenicsmpm.transfer.sharing import DofLink, NodeNumbers, Sharing, Sums
 from fenicsmpm.transfer.tiles import Nodes, lay, nodes_of
 
 Array = npt.NDArray[np.float64]
@@ -77,6 +77,9 @@ class LatticeEngine:
         self._sums: Sums | None = None
         self._sum_forces: Sums | None = None
         self._all_dofs: DofLink | None = None
+        self._numbers = NodeNumbers(V)
+        # nodes of functions that are not zero since they were written
+        self._written: dict[fem.Function, npt.NDArray[np.int32]] = {}
         self._strays = False
 
     # --- a block of steps --------------------------------------------------------------------
@@ -123,7 +126,7 @@ class LatticeEngine:
         if self.carried:
             self._sum_forces = Sums(sharing, nodes.per_tile, [0, 1, 2])
         self._all_dofs = None
-        self._supports.find(sharing, nodes)
+        self._supports.find(sharing, nodes, self._numbers)
         for part in self.parts:
             part.scatter()
         self._strays = False
@@ -244,7 +247,7 @@ class LatticeEngine:
         if at_nodes is not None:
             link = self._dof_link()
             flat = self._forces.reshape(-1, 3)
-            flat[link.places, : self._dim] += link.spread(at_nodes)
+            flat[link.places, : self._dim] += link.spread(at_nodes[self._dofs])
         self._relieve(self._forces, 0, of_loads=True)
         self.rows[:, :, grid.FORCE :] += self._forces
         return messages
@@ -257,7 +260,7 @@ class LatticeEngine:
         """
         link = self._dof_link()
         nodal = np.zeros((len(self.rows), self.nodes.per_tile, 3))
-        nodal.reshape(-1, 3)[link.places, : self._dim] += link.spread(forces)
+        nodal.reshape(-1, 3)[link.places, : self._dim] += link.spread(forces[self._dofs])
         self._relieve(nodal, 0, of_loads=False)
         self.rows[:, :, grid.FORCE :] += nodal
 
@@ -363,14 +366,19 @@ class LatticeEngine:
 
     def _write(self, values: Array, function: fem.Function) -> None:
         link = self._dof_link()
-        owned = link.collect(values[link.places])
-        function.x.array[: owned.size] = owned.ravel()
+        nodal = function.x.array.reshape(-1, values.shape[1])
+        nodal[self._written.get(function, slice(None))] = 0.0
+        nodal[self._dofs] = link.collect(values[link.places])
+        self._written[function] = self._dofs
         function.x.scatter_forward()
 
     def _dof_link(self) -> DofLink:
+        """From the owned nodes ``_dofs`` in tiles of any rank to these."""
         if self._all_dofs is None:
-            owned = np.arange(self._V.dofmap.index_map.size_local, dtype=np.int32)
-            self._all_dofs = DofLink(self._sharing, self.nodes, self._V, owned)
+            tiles = np.unique(np.concatenate(self._comm.allgather(self._layout.ids)))
+            self._dofs = self._numbers.owned_in(tiles, self.nodes)
+            positions = self._numbers.positions(self._dofs)
+            self._all_dofs = DofLink(self._sharing, self.nodes, positions)
         return self._all_dofs
 
 
@@ -394,10 +402,10 @@ class Supports:
         # values at ghosts may differ from their owners' by round-off
         self._dofs = dofs[dofs < owned * dim]
 
-    def find(self, sharing: Sharing, nodes: Nodes) -> None:
+    def find(self, sharing: Sharing, nodes: Nodes, numbers: NodeNumbers) -> None:
         """Find the rows of the nodes, and read the values (collective)."""
         dim = self._V.mesh.geometry.dim
-        self._link = DofLink(sharing, nodes, self._V, self._dofs // dim)
+        self._link = DofLink(sharing, nodes, numbers.positions(self._dofs // dim))
         self._components = self._link.spread((self._dofs % dim).astype(np.int64))
         self.read()
 

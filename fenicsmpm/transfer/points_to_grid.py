@@ -34,8 +34,8 @@ def p2g(
         points: the point set.
         values: ``(n_points,)`` or ``(n_points, size)`` in storage order, such as the weights.
         space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are taken.
-        least: take functions that are smaller for this; None for the largest round-off that one
-            that is zero may have.
+        least: take functions that are smaller, and nowhere negative but for round-off, for this;
+            None to take functions of any sign for the largest round-off that one may have.
 
     Returns:
         Vector with ``size`` numbers a node, summed over all ranks, ghosts up to date (collective).
@@ -47,9 +47,12 @@ def p2g(
     table = stencil.table(_scalar_element(space), 0)
     rows = values.reshape(len(points), size)
     nodes = result.array.reshape(-1, size)
-    limits = stencil.least if least is None else np.full(len(stencil.least), least)
+    values_at = table[:, 0, :]
+    limits = stencil.least if least is None else np.zeros(len(stencil.least))
+    if least is not None and least > 0:
+        values_at = np.maximum(values_at, least)
     dofs = stencil.dofs(space)
-    _scatter(rows, stencil.order, table[:, 0, :], stencil.offsets, dofs, limits, nodes)
+    _scatter(rows, stencil.order, values_at, stencil.offsets, dofs, limits, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
     return result

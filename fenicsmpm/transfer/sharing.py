@@ -17,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from fenicsmpm import _compat
 from fenicsmpm._njit import njit
+from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.points.migration import exchange
 from fenicsmpm.transfer.tiles import Integers, Layout, Nodes
 
@@ -178,32 +180,62 @@ class Sums:
         self._requests = []
 
 
+class NodeNumbers:
+    """Dolfinx' numbers of the nodes of a lattice, for a linear space.
+
+    Args:
+        V: linear space, scalar or blocked, on a lattice (collective).
+    """
+
+    def __init__(self, V: fem.FunctionSpace) -> None:
+        """Make tables, of 4 bytes a node each."""
+        self._lattice, self._x = lattice_of(V.mesh), V.mesh.geometry.x
+        vertices, dofs = _compat.geometry_dofmap(V.mesh), V.dofmap.list
+        self._dof = np.empty(len(self._x), dtype=np.int32)
+        self._dof[vertices] = dofs
+        self._vertex = np.empty_like(self._dof)
+        self._vertex[dofs] = vertices
+        self._owned = V.dofmap.index_map.size_local
+
+    def positions(self, dofs: npt.NDArray[np.integer]) -> Floats:
+        """Where nodes are, ``(n, 3)`` [m]."""
+        return self._x[self._vertex[dofs]]
+
+    def owned_in(self, tiles: Integers, nodes: Nodes) -> npt.NDArray[np.int32]:
+        """Owned nodes in some tiles, ascending."""
+        side = [np.arange(n) for n in nodes.side]
+        in_tile = np.stack(np.meshgrid(*side, indexing="ij"), axis=-1).reshape(-1, 3)
+        first = np.stack(np.unravel_index(tiles, tuple(nodes.tiles)), axis=-1) * nodes.side
+        index = (first[:, None] + in_tile).reshape(-1, 3)
+        index = index[np.all(index < nodes.shape, axis=1)]
+        vertices = self._lattice.nodes(index[:, : len(self._lattice.shape)])
+        dofs = self._dof[vertices[vertices >= 0]]
+        return np.unique(dofs[dofs < self._owned])
+
+
 class DofLink:
     """From nodal values on dolfinx' owned dofs to the tiles of all ranks, and back.
 
     Args:
         sharing: who has which tiles.
         nodes: of the lattice.
-        V: linear space of velocities.
-        dofs: ``(n,)`` owned nodes of V, not unrolled, of this rank.
+        x: ``(n, 3)`` where this rank's nodes are that are linked [m].
 
     Attributes:
         places: ``(m,)`` rows of the nodes in this rank's tiles, counted through.
-        index: ``(m,)`` where they are in ``dofs`` of the rank that owns them.
+        index: ``(m,)`` where they are in ``x`` of the rank that owns them.
     """
 
-    def __init__(
-        self, sharing: Sharing, nodes: Nodes, V: fem.FunctionSpace, dofs: npt.NDArray[np.int32]
-    ) -> None:
+    def __init__(self, sharing: Sharing, nodes: Nodes, x: Floats) -> None:
         """Find the ways (collective)."""
         comm, ids = sharing.comm, sharing.layout.ids
-        self._comm, self._n, self._counted = comm, len(dofs), sharing.counted
-        tile, node = nodes.places(V.tabulate_dof_coordinates()[dofs])
+        self._comm, self._n, self._counted = comm, len(x), sharing.counted
+        tile, node = nodes.places(x)
         data = {
             "tile": tile,
             "node": node,
-            "index": np.arange(len(dofs)),
-            "owner": np.full(len(dofs), comm.rank, dtype=np.int32),
+            "index": np.arange(len(x)),
+            "owner": np.full(len(x), comm.rank, dtype=np.int32),
         }
         # to the tiles' keepers, and from these to the ranks that have them
         if comm.size > 1:
