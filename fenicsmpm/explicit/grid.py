@@ -22,6 +22,8 @@ VELOCITY, INCREMENT = MOMENTUM, FORCE
 
 # Nodes with less mass than that of anything are empty
 _NOTHING = 1e-290
+# Share of the largest mass around a node below which it only goes along with its points
+_ROUND_OFF = 1e-10
 
 
 @numba.njit(cache=True)
@@ -32,7 +34,7 @@ def full_share(m, largest, threshold):
     as long only, and points would follow a light node that is thrown ahead. So light nodes take
     less of forces, and others more.
     """
-    return min(1.0, m / (threshold * largest)) if m > _NOTHING else 0.0
+    return min(1.0, m / (threshold * largest)) if m > _ROUND_OFF * largest else 0.0
 
 
 def tile_rows(tiles: int, per_tile: int, lanes: int = LANES) -> np.ndarray:
@@ -141,7 +143,8 @@ def spare_light_nodes(rows, bounds, neighbours, side, threshold):
                 light.append(tile * per_tile + n)
                 rests.append((1.0 - share) * rows[tile, n, FORCE:].copy())
     for i in range(len(light)):
-        count, total = _around(light[i] // per_tile, light[i] % per_tile, side, neighbours, around), 0.0
+        tile, n = light[i] // per_tile, light[i] % per_tile
+        count, total = _around(tile, n, side, neighbours, around), 0.0
         for j in range(count):
             total += flat[around[j], MASS]
         for k in range(3):
