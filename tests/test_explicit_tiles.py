@@ -266,9 +266,7 @@ def test_free_flight(basis, velocity):
     """A stress-free block: nodes of nearly no mass must not be thrown ahead."""
     domain = mesh.create_unit_square(MPI.COMM_SELF, 20, 20, mesh.CellType.quadrilateral)
     law = Hencky(E=1e5, nu=0.3)
-    body = points.lattice(
-        domain, 0.0125, inside=lambda x: np.abs(x - (0.5, 0.6)).max(axis=1) < 0.1
-    )
+    body = points.lattice(domain, 0.0125, inside=lambda x: np.abs(x - (0.5, 0.6)).max(axis=1) < 0.1)
     explicit.set_initial_state(body, law, 1.0, lambda x: np.tile(velocity, (len(x), 1)))
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     sim = explicit.ExplicitMPM(V, {body: law}, basis=basis)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from fenicsmpm.basis.lines import WIDTH
-from fenicsmpm.explicit.grid import FORCE, MASS, VELOCITY, full_share
+from fenicsmpm.explicit.grid import MASS, VELOCITY, full_share
 from fenicsmpm.explicit.stencils import OPTIONS, stencils
 from fenicsmpm.explicit.tiles import ON_WALL, row_of
 from fenicsmpm.lanes import LANES

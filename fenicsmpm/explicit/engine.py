@@ -197,9 +197,7 @@ class LatticeEngine:
             return []
         self._forces[:] = 0.0
         bad = [
-            load.add_forces(
-                self.rows, self._forces, self.nodes, self._layout.ids, self._least_mass
-            )
+            load.add_forces(self.rows, self._forces, self.nodes, self._layout.ids, self._least_mass)
             for load in self.loads
         ]
         self._sum_forces.add(self._forces)
@@ -224,9 +222,7 @@ class LatticeEngine:
         """
         rows, bounds = self.rows, self._bounds
         grid.masses(rows, bounds)
-        grid.spare_light_nodes(
-            rows, bounds, self._layout.neighbours, self.nodes.side, self._light
-        )
+        grid.spare_light_nodes(rows, bounds, self._layout.neighbours, self.nodes.side, self._light)
         fixed = self._supports.now
         reaction = grid.reactions(rows, dt, gravity, *fixed, self._sharing.counted)
         grid.update_nodes(rows, bounds, dt, gravity, damping)

@@ -249,7 +249,11 @@ def transfers(
         """
         base = np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        f, shares, lines = scratch_rows(9, LANES), scratch_rows(1, LANES), scratch_rows(_ALL, LINE_LANES)
+        f, shares, lines = (
+            scratch_rows(9, LANES),
+            scratch_rows(1, LANES),
+            scratch_rows(_ALL, LINE_LANES),
+        )
         last_w = scratch_rows(LANES, LINE_LANES)
         scratch, work = scratch_rows(count, LANES), np.empty(count)
         averages = scratch_rows(count + SPARE, LINE_LANES)

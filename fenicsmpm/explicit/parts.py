@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numba
 import numpy as np
@@ -152,9 +151,7 @@ class Part:
         tiles = np.ravel_multi_index(tuple(self._occupied.T), tuple(nodes.tiles))
         units = np.searchsorted(layout.ids, tiles)
         chunks = chunks_of(self._blocks, numba.get_num_threads())
-        target, self._copies = targets(
-            units, self._low, self._high, layout, nodes, width, chunks
-        )
+        target, self._copies = targets(units, self._low, self._high, layout, nodes, width, chunks)
         t_low, t_high = limits(self._low, self._high, nodes, self._kind)
         margin = np.zeros(3)
         margin[: self._dim] = MARGIN[self._dim]

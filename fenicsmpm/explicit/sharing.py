@@ -198,7 +198,9 @@ class DofLink:
         """Find the ways (collective)."""
         comm, ids = sharing.comm, sharing.layout.ids
         self._comm, self._n, self._counted = comm, len(dofs), sharing.counted
-        tile, node = nodes.places(V.tabulate_dof_coordinates()[dofs])
+        # of the whole mesh, so not if there is nothing to find
+        x = V.tabulate_dof_coordinates()[dofs] if len(dofs) else np.empty((0, 3))
+        tile, node = nodes.places(x)
         data = {
             "tile": tile,
             "node": node,
@@ -232,7 +234,7 @@ class DofLink:
         return exchange(self._comm, self._to, {"value": sent})["value"]
 
     def collect(self, values: Floats) -> Floats:
-        """Values ``(m, ...)`` at ``places`` to owned dofs, zero where there is no tile (collective).
+        """Values ``(m, ...)`` at ``places`` to owned dofs, zero without a tile (collective).
 
         Where several ranks have a node, the first one that adds to it says what it has.
         """

@@ -312,9 +312,7 @@ def _lay(lower, upper, tiles):
     for i in range(box[0]):
         for j in range(box[1]):
             for k in range(box[2]):
-                near = touched[
-                    max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2
-                ]
+                near = touched[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2]
                 if near.any():
                     numbers[i, j, k] = count
                     count += 1
