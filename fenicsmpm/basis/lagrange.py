@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm._njit import njit
-from fenicsmpm.basis.stencil import derivative_rows, round_off
+from fenicsmpm.basis.stencil import LEAST, derivative_rows, round_off
 
 if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
@@ -106,6 +106,19 @@ class LagrangeStencil:
         if key not in self._tables:
             self._tables[key] = self._tabulate(element, derivatives)
         return self._tables[key]
+
+    def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
+        """Values of the functions, of which those with a slope are not zero.
+
+        Args:
+            element: scalar basix element of degree 1 with identity map.
+
+        Returns:
+            ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
+        """
+        table = self.table(element, 1)
+        values = table[:, 0]
+        return np.where(table[:, 1:].any(axis=1), np.maximum(values, LEAST), values)
 
     def _refresh(self) -> None:
         if self._version != self.points.version:

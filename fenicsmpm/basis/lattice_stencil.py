@@ -19,7 +19,7 @@ from fenicsmpm._njit import njit
 from fenicsmpm.basis.lagrange import is_linear
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
-from fenicsmpm.basis.stencil import derivative_rows, round_off
+from fenicsmpm.basis.stencil import LEAST, derivative_rows, round_off
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.sorting import sort_by_number
 
@@ -237,7 +237,7 @@ class LatticeStencil:
             self._tables[derivatives] = self._tabulate(derivatives)
         return self._tables[derivatives]
 
-    def _tabulate(self, derivatives: int) -> npt.NDArray[np.float64]:
+    def _tabulate(self, derivatives: int, least: float = 0.0) -> npt.NDArray[np.float64]:
         points, lattice, dim = self.points, self._lattice, self._dim
         rows = [
             [directions.count(k) for k in range(3)]
@@ -247,9 +247,21 @@ class LatticeStencil:
         table = np.empty((len(points), derivative_rows(derivatives, dim), self._nodes.shape[1]))
         _tabulate(
             self._kind, points.x, points.cell, self._order, lattice.boxes, self._half, self._width,
-            np.array(rows), table,
+            np.array(rows), least, table,
         )  # fmt: skip
         return table
+
+    def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
+        """Values of the functions, of which those with a slope are not zero.
+
+        Args:
+            element: scalar element, whose functions these stand for.
+
+        Returns:
+            ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
+        """
+        self._refresh()
+        return self._tabulate(0, LEAST)[:, 0]
 
     def seen_cells(self) -> npt.NDArray[np.int32]:
         """Local cells, ghosts included, of which some point sees all nodes; ascending."""
@@ -331,11 +343,12 @@ def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def
 
 @njit(parallel=True)
 def _tabulate(  # type: ignore[no-untyped-def]
-    kind, x, cell, order, boxes, half, width, rows, table
+    kind, x, cell, order, boxes, half, width, rows, least, table
 ):
     """Products of the functions along the lines into ``table (n_points, n_rows, n_nodes)``.
 
-    ``rows (n_rows, 3)`` are the orders of derivatives in each direction.
+    ``rows (n_rows, 3)`` are the orders of derivatives in each direction. Along a line, functions
+    with a slope have the least value if they are smaller and it is not zero.
     """
     n, dim = x.shape
     nz = width if dim == 3 else 1
@@ -350,6 +363,8 @@ def _tabulate(  # type: ignore[no-untyped-def]
                 t = _position(boxes, x[p, m], i, m)
                 tabulate_line(kind, i, t, boxes.shape[m], half[m], lines[m])
                 for a in range(width):
+                    if least > 0.0 and abs(lines[m, 1, a]) > 1e-6:  # no round-off
+                        lines[m, 0, a] = max(lines[m, 0, a], least)
                     lines[m, 1, a] /= boxes.spacing[m]
                     lines[m, 2, a] /= boxes.spacing[m] * boxes.spacing[m]
             for r in range(len(rows)):

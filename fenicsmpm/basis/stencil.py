@@ -76,6 +76,16 @@ class PointStencil(Protocol):
             d*d second derivatives in 1/m^2 (row-major).
         """
 
+    def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
+        """Values of functions that are nowhere negative, at least ``LEAST`` if they have a slope.
+
+        Args:
+            element: scalar basix element of degree 1.
+
+        Returns:
+            ``(n_points, n_nodes)``, in group order.
+        """
+
 
 def round_off(geometry: CellGeometry) -> npt.NDArray[np.float64]:
     """``(n_cells,)`` what grid functions that are zero may be at points in each cell.

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from fenicsmpm.materials import Law
+from fenicsmpm.materials import Law, bulk_to_shear
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,20 @@ ALGORITHM_1 = FBar(r=0.0)
 TRUE_J = FBar(r=1.0)
 
 
-def default_fbar(law: Law) -> FBar:
-    """Averages that neither creep nor oscillate, for elastic solids or for what flows.
+# Bulk by shear modulus from which on elastic bodies lock: a Poisson's ratio of 0.475
+_LOCKS = 20.0
 
-    A law that remembers something, such as plastic strain, is taken for one that flows.
+
+def default_fbar(law: Law) -> FBar | None:
+    """Averages that neither creep nor oscillate, for what flows or is nearly incompressible.
+
+    A law that remembers something, such as plastic strain, is taken for one that flows. Elastic
+    laws whose bulk modulus is less than 20 shear moduli have none: they do not lock, and averages
+    would damp their waves and bend their stresses at walls.
+
+    Args:
+        law: constitutive law; one of one's own is asked for its moduli by small strains.
     """
-    return FBar(r=0.3, s=100.0) if law.is_fluid or law.n_state > 0 else FBar()
+    if law.is_fluid or law.n_state > 0:
+        return FBar(r=0.3, s=100.0)
+    return FBar() if bulk_to_shear(law) > _LOCKS else None

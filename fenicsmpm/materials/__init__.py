@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Constitutive laws: in UFL, and at points, compiled by numba."""
 
-from fenicsmpm.materials.evaluate import energy, state_of, stress, tangent
+from fenicsmpm.materials.evaluate import bulk_to_shear, energy, state_of, stress, tangent
 from fenicsmpm.materials.fluid import NewtonianFluid
 from fenicsmpm.materials.from_energy import from_energy
 from fenicsmpm.materials.hencky import Hencky
@@ -16,6 +16,7 @@ __all__ = [
     "NeoHookean",
     "NewtonianFluid",
     "VonMises",
+    "bulk_to_shear",
     "compiled",
     "energy",
     "from_energy",

@@ -44,6 +44,19 @@ def stress(
     return sigma
 
 
+def bulk_to_shear(law: Law) -> float:
+    """Bulk modulus by shear modulus, by how a law answers to small strains without deformation [-].
+
+    It is infinite for fluids, and for what flows at once or does not resist to compression.
+    """
+    h = 1e-5
+    F = np.array([(1 - h) * np.eye(3), np.eye(3)])
+    F[1, 0, 1] = 2 * h
+    compressed, sheared = stress(law, F)
+    kappa, mu = -np.trace(compressed) / (9 * h), sheared[0, 1] / (2 * h)
+    return float(kappa / mu) if 0 < kappa < np.inf and 0 < mu < np.inf else np.inf
+
+
 def energy(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
     """Free energy per initial volume at points, ``(n,)`` [J/m^3].
 

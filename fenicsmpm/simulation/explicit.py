@@ -290,8 +290,25 @@ class ExplicitMPM:
         if messages:
             raise UnstableError(
                 f"step {self.number + 1}, t = {self.time + self.dt:g} s, dt = {self.dt:g} s: "
-                f"{messages[0]}; the stable step is about {self.stable_step():g} s"
+                f"{messages[0]}; the stable step is about {self.stable_step():g} s{self._hint()}"
             )
+
+    def _hint(self) -> str:
+        """What may have made points unstable."""
+        hints = [
+            f"the rigid box {box.lower} ... {box.upper} pushed with {box.force} N: give it a larger"
+            " reach or a lower stiffness, or begin further away from it"
+            for box in self.rigid
+            if np.any(box.force)
+        ]
+        if self.dt > self.stable_step():
+            hints.append("the step is longer than that: take smaller ones")
+        elif not hints:
+            hints.append(
+                "where points fill few nodes, as in thin films along walls, steps have to be "
+                "shorter: lower cfl"
+            )
+        return "".join(f"; {hint}" for hint in hints)
 
     def __repr__(self) -> str:
         """Bodies, time, and which way each part of the residual goes."""

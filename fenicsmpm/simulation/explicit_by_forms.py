@@ -17,7 +17,6 @@ import ufl
 from dolfinx import fem, la
 
 from fenicsmpm import _compat, forms
-from fenicsmpm.basis.stencil import LEAST
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.formulations.internal_force import (
     CauchyStress,
@@ -92,7 +91,7 @@ class BodyByForms:
     def momentum(self, space: fem.FunctionSpace, v: Array) -> Array:
         """Mass and momentum on the nodes, ``(n_nodes, 1 + d)`` [kg, kg m/s] (collective)."""
         columns = np.column_stack([np.ones(len(v)), v]) * self.points["mass"][:, None]
-        return p2g(self.points, columns, space, least=LEAST).array.reshape(-1, columns.shape[1])
+        return p2g(self.points, columns, space, positive=True).array.reshape(-1, columns.shape[1])
 
     def moved(self) -> dict[str, Array]:
         """Velocities "v" and displacements "u" after the step; the points stay as they are."""
@@ -118,7 +117,7 @@ class BodyByForms:
         """Mean by volume over the grid, at the points (F-bar, equation 19)."""
         volume = self.points.weight
         columns = np.column_stack([volume, volume * J])
-        sums = p2g(self.points, columns, self._scalars, least=LEAST).array.reshape(-1, 2)
+        sums = p2g(self.points, columns, self._scalars, positive=True).array.reshape(-1, 2)
         where = sums[:, 0] > 0
         self._mean.x.array[:] = 0.0
         np.divide(sums[:, 1], sums[:, 0], out=self._mean.x.array, where=where)

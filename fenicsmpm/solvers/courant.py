@@ -83,7 +83,7 @@ class CourantStep:
         for body, modulus in self._moduli.items():
             # V_I cancels: V_I M_I is the sum of the points' V_p M_p
             columns = np.column_stack([body["mass"], modulus * body.weight])
-            nodes = p2g(body, columns, self._space, least=None).array.reshape(-1, 2)
+            nodes = p2g(body, columns, self._space, rounded=True).array.reshape(-1, 2)
             sums = nodes if len(sums) == 0 else sums + nodes
         mass, stiffness = sums[sums[:, 1] > 0].T
         slowness = float(np.sqrt(np.min(mass / stiffness, initial=np.inf)))

@@ -296,7 +296,8 @@ def transfers(
                         if rates:
                             store(body.L, tensor + j * dim + k, rate)
                         store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
-                J_old, dJ = determinant(body.F, tensor), determinant(f, 0)
+                J_before, dJ = determinant(body.F, tensor), determinant(f, 0)
+                J_old = J_before
                 shrink = 1.0 + zeros()
                 if average and s > 0.0:
                     J_star = J_old + min(s * strain(f), 1.0) * (load(body.J_bar, block) - J_old)
@@ -317,8 +318,8 @@ def transfers(
                     found[0] = block
                 if average:
                     # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
-                    share = J * ((1.0 - r) * load(body.J_bar, block) + r * J_old)
-                    store(shares, 0, load(body.V_0, block) * share)
+                    mixed = (1.0 - r) * load(body.J_bar, block) + r * J_old
+                    store(shares, 0, load(body.V_0, block) * J_before * dJ * mixed)
                     for c in range(width):
                         store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
                     for i in range(LANES):

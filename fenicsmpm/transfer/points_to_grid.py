@@ -26,7 +26,8 @@ def p2g(
     values: npt.NDArray[np.float64],
     space: fem.FunctionSpace,
     *,
-    least: float | None = 0.0,
+    rounded: bool = False,
+    positive: bool = False,
 ) -> la.Vector:
     """Sum point values to the grid, ``sum_p N_I(x_p) values_p``.
 
@@ -34,8 +35,9 @@ def p2g(
         points: the point set.
         values: ``(n_points,)`` or ``(n_points, size)`` in storage order, such as the weights.
         space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are taken.
-        least: take functions that are smaller, and nowhere negative but for round-off, for this;
-            None to take functions of any sign for the largest round-off that one may have.
+        rounded: take functions that may be zero but for round-off for its largest size.
+        positive: functions with a slope are not zero, see ``PointStencil.positive_table``; for
+            linear spaces only.
 
     Returns:
         Vector with ``size`` numbers a node, summed over all ranks, ghosts up to date (collective).
@@ -44,15 +46,13 @@ def p2g(
     size = 1 if values.ndim == 1 else values.shape[1]
     result = la.vector(space.dofmap.index_map, size)
     result.array[:] = 0.0
-    table = stencil.table(_scalar_element(space), 0)
+    element = _scalar_element(space)
+    table = stencil.positive_table(element) if positive else stencil.table(element, 0)[:, 0]
     rows = values.reshape(len(points), size)
     nodes = result.array.reshape(-1, size)
-    values_at = table[:, 0, :]
-    limits = stencil.least if least is None else np.zeros(len(stencil.least))
-    if least is not None and least > 0:
-        values_at = np.maximum(values_at, least)
+    least = stencil.least if rounded else np.zeros(len(stencil.least))
     dofs = stencil.dofs(space)
-    _scatter(rows, stencil.order, values_at, stencil.offsets, dofs, limits, nodes)
+    _scatter(rows, stencil.order, table, stencil.offsets, dofs, least, nodes)
     result.scatter_reverse(la.InsertMode.add)
     result.scatter_forward()
     return result
@@ -86,7 +86,7 @@ def project(
         # A node that points see by round-off only has a mass of any sign. With a positive
         # share instead it gets a mean of what is near.
         sums = sum(
-            p2g(points, _columns(points, fields, slopes, mass), space, least=None).array
+            p2g(points, _columns(points, fields, slopes, mass), space, rounded=True).array
             for points in point_sets
         )
         dim, size = space.mesh.geometry.dim, space.dofmap.index_map_bs
