@@ -212,6 +212,7 @@ class OnLattice:
             for box, velocity in zip(sim.rigid, velocities, strict=True):
                 box.moved = box.moved + dt * velocity
                 messages += engine.hold_back(box, velocity, dt)
+            messages += engine.deform(dt)
         with clock("grid"):
             anew = self._agree(messages, reaction)
             if keep:

@@ -318,6 +318,29 @@ class LatticeEngine:
                 messages.append(part.describe(bad))
         return messages
 
+    def deform(self, dt: float) -> list[str]:
+        """With linear functions: F of the points from their velocities mapped back (collective).
+
+        Returns:
+            What is wrong, on this rank.
+        """
+        if not self.parts[0].maps_back:
+            return []
+        several = len(self.parts) > 1
+        rows = grid.tile_rows(len(self.rows), self.nodes.per_tile) if several else self.rows
+        for part, place in zip(self.parts, self._places, strict=True):
+            back = part.map_back()
+            if several:
+                grid.add_body(back, place, rows)
+            else:
+                rows = back
+        assert self._sums is not None
+        self._sums.add(rows)
+        grid.to_velocities(rows)
+        grid.constrain(rows, *self._supports.now)
+        bad = [(part, part.deform(rows, dt)) for part in self.parts]
+        return [part.describe(block) for part, block in bad if block >= 0]
+
     @property
     def strays(self) -> bool:
         """Whether a point of this rank has left its tiles: ``finish`` has to lay them anew."""

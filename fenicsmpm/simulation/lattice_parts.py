@@ -12,7 +12,7 @@ import numpy.typing as npt
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows, in_blocks, out_of_blocks, plain_order
 from fenicsmpm.basis.lattice_stencil import half_size_in_cells
-from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.lines import LINEAR, WIDTH
 from fenicsmpm.basis.windows import MARGIN, ON_WALL
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.lanes import LANES
@@ -58,6 +58,8 @@ class Part:
 
     Attributes:
         rows: ``(n_tiles, nodes of a tile, 8)``, what its points give to the nodes.
+        maps_back: whether points are deformed by their new velocities, mapped back to the nodes,
+            see `fenicsmpm.transfer.light_nodes`.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Part:
             law.needs_rate,
             law.is_fluid,
         )
+        self.maps_back = kind == LINEAR
         self._contact = contact(dim, kind)
         self._half = half_size(points)
         self._nodes = nodes
@@ -260,13 +263,38 @@ class Part:
             has left its window.
         """
         self._sigma = np.empty((0, LANES))  # of the step before
-        r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
         self._all_sums[:] = 0.0
+        if self.maps_back:
+            bad, strays = self._kernels.move(
+                self._units, self._nodes, self._half, self._working, _flat(rows), dt, flip
+            )
+            return int(bad), bool(strays)
+        r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
         bad, strays = self._kernels.gather(
             self._units, self._nodes, self._half, self._working, _flat(rows), dt, flip,
             self._fbar is not None, r, s, self._all_sums.ravel(),
         )  # fmt: skip
         return int(bad), bool(strays)
+
+    def map_back(self) -> Array:
+        """Mass and momentum of the moved points, where they were, ``(n_tiles, nodes, 8)``."""
+        back = grid.tile_rows(len(self._all_rows), self._nodes.per_tile)
+        self._kernels.momenta(self._units, self._nodes, self._half, self._working, _flat(back))
+        grid.merge(back, self._copies)
+        return back[: self._n_tiles]
+
+    def deform(self, rows: Array, dt: float) -> int:
+        """F from velocities that were mapped back, and J to the body's nodes.
+
+        Returns:
+            A block with a point that is inverted, or -1.
+        """
+        r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
+        bad = self._kernels.deform(
+            self._units, self._nodes, self._half, self._working, _flat(rows), dt,
+            self._fbar is not None, r, s, self._all_sums.ravel(),
+        )  # fmt: skip
+        return int(bad)
 
     def average(self) -> None:
         """Average J at the nodes, and clear the rows for the next step (collective)."""

@@ -76,6 +76,10 @@ class Kernels(NamedTuple):
     scatter: Callable[..., None]
     gather: Callable[..., Any]
     finish: Callable[..., None]
+    # for linear functions, instead of ``gather``
+    move: Callable[..., Any]
+    momenta: Callable[..., None]
+    deform: Callable[..., int]
 
 
 @functools.cache
@@ -242,6 +246,84 @@ def transfers(
         if dim == 3:
             store_line(lines, _Z + i, by_z)
 
+    @_inline
+    def move(body, block, unit, units, nodes, lines, dt, flip):
+        """Velocity and next position of the points of a block (eqs. 11-13 and 17).
+
+        Returns:
+            Whether all are finite and inside of the lattice, and inside of their window.
+        """
+        vector, good, stays = block * dim, True, True
+        for j in range(dim):
+            velocity = load_column(lines, VELOCITY + j, LANES)
+            increment = load_column(lines, INCREMENT + j, LANES)
+            x_next = load(body.x, vector + j) + dt * velocity
+            t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
+            cells = nodes.shape[j] - 1
+            stays &= between(t, units.t_low[unit, j], units.t_high[unit, j])
+            if between(t, -ON_WALL, cells + ON_WALL):
+                x_next = choose(ON_WALL - t, nodes.origin[j], x_next)
+                x_next = choose(t - (cells - ON_WALL), nodes.upper[j], x_next)
+            else:
+                good = False
+            in_flip = load(body.v, vector + j) + increment
+            v_next = flip * in_flip + (1.0 - flip) * velocity
+            store(body.x_next, vector + j, x_next)
+            store(body.v, vector + j, v_next)
+            good &= between(v_next, -_HUGE, _HUGE)
+        return good, stays
+
+    @_inline
+    def deform(body, block, base, w, lines, f, shares, last_w, averages, dt, average, r, s):
+        """F of the points of a block, and J to the lines of the nodes, to be averaged.
+
+        Returns:
+            Whether no point is inverted.
+        """
+        tensor, before = block * dim * dim, LINE_LANES - 1
+        # eq. 16
+        for k in range(dim):
+            for j in range(dim):
+                first = (_X + k * LANES) * LINE_LANES + VELOCITY + j
+                rate = load_column(lines, first, LINE_LANES)
+                if rates:
+                    store(body.L, tensor + j * dim + k, rate)
+                store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
+        J_before, dJ = determinant(body.F, tensor), determinant(f, 0)
+        J_old = J_before
+        shrink = 1.0 + zeros()
+        if average and s > 0.0:
+            J_star = J_old + min(s * strain(f), 1.0) * (load(body.J_bar, block) - J_old)
+            shrink = root(J_star / J_old)
+            J_old = J_star
+        # eq. 14
+        for k in range(dim):
+            F_0, F_1 = load(body.F, tensor + k), load(body.F, tensor + dim + k)
+            F_2 = load(body.F, tensor + 2 * dim + k) if dim == 3 else F_0
+            for j in range(dim):
+                new = load(f, j * dim) * F_0 + load(f, j * dim + 1) * F_1
+                if dim == 3:
+                    new += load(f, j * dim + 2) * F_2
+                store(body.F, tensor + j * dim + k, shrink * new)
+        if average:
+            # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
+            mixed = (1.0 - r) * load(body.J_bar, block) + r * J_old
+            store(shares, 0, load(body.V_0, block) * J_before * dJ * mixed)
+            for c in range(width):
+                store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
+            for i in range(LANES):
+                weights = load_line(last_w, i)
+                for a in range(width):
+                    share_a = shares[0, i] * number_at(w, a * LANES + i)
+                    if dim == 2:
+                        add_line(averages, base[i] + a * far + before, share_a, weights)
+                    else:
+                        for b in range(width):
+                            share_b = share_a * number_at(w, (width + b) * LANES + i)
+                            place = base[i] + a * far + b * near + before
+                            add_line(averages, place, share_b, weights)
+        return between(dJ * J_old, _TINY, _HUGE)
+
     @_njit
     def gather(chunk, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found):
         """Velocity, next position and F of points; J goes back to the nodes to be averaged.
@@ -252,12 +334,10 @@ def transfers(
         base = np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
-        lines = scratch_rows(_ALL, LINE_LANES)
-        last_w = scratch_rows(LANES, LINE_LANES)
+        lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
         scratch, work = scratch_rows(count, LANES), np.empty(count)
         averages = scratch_rows(count + SPARE, LINE_LANES)
-        before = LINE_LANES - 1
-        found[0], stays = -1, True
+        found[0], stay = -1, True
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
             copies.load_rows(unit, units.source, rows, scratch)
             if average:
@@ -268,74 +348,93 @@ def transfers(
                 fill(body.x, block, nodes, half, lower, base, w, d)
                 for i in range(LANES):
                     from_nodes(i, base, w, d, scratch, lines)
-                vector, tensor = block * dim, block * dim * dim
-                good = True
-                for j in range(dim):
-                    # eqs. 11-13 and 17
-                    velocity = load_column(lines, VELOCITY + j, LANES)
-                    increment = load_column(lines, INCREMENT + j, LANES)
-                    x_next = load(body.x, vector + j) + dt * velocity
-                    t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
-                    cells = nodes.shape[j] - 1
-                    stays &= between(t, units.t_low[unit, j], units.t_high[unit, j])
-                    if between(t, -ON_WALL, cells + ON_WALL):
-                        x_next = choose(ON_WALL - t, nodes.origin[j], x_next)
-                        x_next = choose(t - (cells - ON_WALL), nodes.upper[j], x_next)
-                    else:
-                        good = False
-                    in_flip = load(body.v, vector + j) + increment
-                    v_next = flip * in_flip + (1.0 - flip) * velocity
-                    store(body.x_next, vector + j, x_next)
-                    store(body.v, vector + j, v_next)
-                    good &= between(v_next, -_HUGE, _HUGE)
-                # eq. 16
-                for k in range(dim):
-                    for j in range(dim):
-                        first = (_X + k * LANES) * LINE_LANES + VELOCITY + j
-                        rate = load_column(lines, first, LINE_LANES)
-                        if rates:
-                            store(body.L, tensor + j * dim + k, rate)
-                        store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
-                J_before, dJ = determinant(body.F, tensor), determinant(f, 0)
-                J_old = J_before
-                shrink = 1.0 + zeros()
-                if average and s > 0.0:
-                    J_star = J_old + min(s * strain(f), 1.0) * (load(body.J_bar, block) - J_old)
-                    shrink = root(J_star / J_old)
-                    J_old = J_star
-                # eq. 14
-                for k in range(dim):
-                    F_0, F_1 = load(body.F, tensor + k), load(body.F, tensor + dim + k)
-                    F_2 = load(body.F, tensor + 2 * dim + k) if dim == 3 else F_0
-                    for j in range(dim):
-                        new = load(f, j * dim) * F_0 + load(f, j * dim + 1) * F_1
-                        if dim == 3:
-                            new += load(f, j * dim + 2) * F_2
-                        store(body.F, tensor + j * dim + k, shrink * new)
-                J = dJ * J_old
-                good &= between(J, _TINY, _HUGE)
+                good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
+                good &= deform(
+                    body, block, base, w, lines, f, shares, last_w, averages, dt, average, r, s
+                )
+                stay &= stays
                 if not good:
                     found[0] = block
-                if average:
-                    # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
-                    mixed = (1.0 - r) * load(body.J_bar, block) + r * J_old
-                    store(shares, 0, load(body.V_0, block) * J_before * dJ * mixed)
-                    for c in range(width):
-                        store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
-                    for i in range(LANES):
-                        weights = load_line(last_w, i)
-                        for a in range(width):
-                            share_a = shares[0, i] * number_at(w, a * LANES + i)
-                            if dim == 2:
-                                add_line(averages, base[i] + a * far + before, share_a, weights)
-                            else:
-                                for b in range(width):
-                                    share_b = share_a * number_at(w, (width + b) * LANES + i)
-                                    place = base[i] + a * far + b * near + before
-                                    add_line(averages, place, share_b, weights)
             if average:
                 copies.add_lines(unit, units.target, averages, work, sums)
-        found[1] = 0 if stays else 1
+        found[1] = 0 if stay else 1
+
+    # Linear functions: points are moved, their velocities mapped back, and then deformed
+
+    @_njit
+    def move_only(chunk, units, nodes, half, body, rows, dt, flip, found):
+        """As ``gather``, without F."""
+        base = np.empty(LANES, np.int64)
+        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+        lines, scratch = scratch_rows(_ALL, LINE_LANES), scratch_rows(count, LANES)
+        found[0], stay = -1, True
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+            copies.load_rows(unit, units.source, rows, scratch)
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                fill(body.x, block, nodes, half, units.lower[unit], base, w, d)
+                for i in range(LANES):
+                    from_nodes(i, base, w, d, scratch, lines)
+                good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
+                stay &= stays
+                if not good:
+                    found[0] = block
+        found[1] = 0 if stay else 1
+
+    @_njit
+    def deform_only(chunk, units, nodes, half, body, rows, dt, average, r, s, sums, found):
+        """The rest of ``gather``, by velocities that were mapped back."""
+        base = np.empty(LANES, np.int64)
+        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+        f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
+        lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
+        scratch, work = scratch_rows(count, LANES), np.empty(count)
+        averages = scratch_rows(count + SPARE, LINE_LANES)
+        found[0] = -1
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+            copies.load_rows(unit, units.source, rows, scratch)
+            if average:
+                copies.clear_lines(averages)
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                fill(body.x, block, nodes, half, units.lower[unit], base, w, d)
+                for i in range(LANES):
+                    from_nodes(i, base, w, d, scratch, lines)
+                if not deform(
+                    body, block, base, w, lines, f, shares, last_w, averages, dt, average, r, s
+                ):
+                    found[0] = block
+            if average:
+                copies.add_lines(unit, units.target, averages, work, sums)
+
+    @_njit
+    def momenta(chunk, units, nodes, half, body, rows):
+        """Mass and momentum of the points, where they were, to the nodes."""
+        base = np.empty(LANES, np.int64)
+        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+        lines, scratch = scratch_rows(LANES, LINE_LANES), scratch_rows(count, LANES)
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+            copies.clear_rows(scratch)
+            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                fill(body.x, block, nodes, half, units.lower[unit], base, w, d)
+                m = load(body.mass, block)
+                store_column(lines, MASS, LINE_LANES, m)
+                for k in range(3):
+                    v = load(body.v, block * dim + k) if k < dim else zeros()
+                    store_column(lines, MOMENTUM + k, LINE_LANES, m * v)
+                for i in range(LANES):
+                    line = load_line(lines, i)
+                    for a in range(width):
+                        for b in range(width):
+                            w_b = number_at(w, a * LANES + i) * number_at(
+                                w, (width + b) * LANES + i
+                            )
+                            for c in range(depth):
+                                if dim == 3:
+                                    w_c = w_b * number_at(w, (2 * width + c) * LANES + i)
+                                else:
+                                    w_c = w_b
+                                place = 2 * (base[i] + a * far + b * near + c)
+                                add_line(scratch, place, w_c, line)
+            copies.add_rows(unit, units.target, scratch, rows)
 
     @_inline
     def means(base, w, averages, lines):
@@ -430,4 +529,23 @@ def transfers(
         for t in numba.prange(len(units.chunks) - 1):
             finish(t, units, nodes, half, body, average, averages, again, sigma, rows)
 
-    return Kernels(scatter_all, gather_all, finish_all)
+    @_parallel
+    def move_all(units, nodes, half, body, rows, dt, flip):
+        found = np.empty((len(units.chunks) - 1, 2), dtype=np.int64)
+        for t in numba.prange(len(units.chunks) - 1):
+            move_only(t, units, nodes, half, body, rows, dt, flip, found[t])
+        return found[:, 0].max(), found[:, 1].max() > 0
+
+    @_parallel
+    def momenta_all(units, nodes, half, body, rows):
+        for t in numba.prange(len(units.chunks) - 1):
+            momenta(t, units, nodes, half, body, rows)
+
+    @_parallel
+    def deform_all(units, nodes, half, body, rows, dt, average, r, s, sums):
+        found = np.empty((len(units.chunks) - 1, 1), dtype=np.int64)
+        for t in numba.prange(len(units.chunks) - 1):
+            deform_only(t, units, nodes, half, body, rows, dt, average, r, s, sums, found[t])
+        return found.max()
+
+    return Kernels(scatter_all, gather_all, finish_all, move_all, momenta_all, deform_all)

@@ -199,6 +199,18 @@ def update_nodes(rows, bounds, dt, damping):
                     rows[tile, n, INCREMENT + k] = 0.0
 
 
+@njit(parallel=True)
+def to_velocities(rows):
+    """Momenta by masses, in place of the momenta."""
+    for tile in numba.prange(len(rows)):
+        for n in range(rows.shape[1]):
+            m = rows[tile, n, MASS]
+            for k in range(3):
+                rows[tile, n, VELOCITY + k] = (
+                    rows[tile, n, MOMENTUM + k] / m if m > _NOTHING else 0.0
+                )
+
+
 @njit
 def reactions(rows, dt, places, components, values, counted):
     """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
