@@ -98,7 +98,7 @@ def main(arguments=None):
     io.plot(options.output / "viscous_bar.png", curves, "t [s]", "energy / energy at the start")
     io.say(f"viscous_bar.png is in {options.output}")
     for left, exact in found.values():
-        assert abs(left / exact - 1) < 0.05
+        assert abs(left / exact - 1) < 0.01
     return found
 
 

@@ -262,13 +262,7 @@ class ByForms:
         return mass[:, 0]
 
     def _map_back(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> None:
-        """Strain linear functions by the points' new velocities, mapped back to the nodes.
-
-        A node that points hardly reach has hardly any mass, but with linear functions their full
-        share of stress. Its velocity changes by any amount, and would deform the points; they
-        themselves get a share of it that is as small as its mass (D. Sulsky, S.-J. Zhou, H. L.
-        Schreyer, Computer Physics Communications 87, 1995).
-        """
+        """Velocity whose gradient deforms points of linear functions, see `light_nodes`."""
         v = {body.points: new[body.points]["v"] for body in self._bodies}
         self._nodal_velocity(v, self._straining)
         for bc in self._sim.bcs:

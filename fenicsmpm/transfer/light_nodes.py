@@ -5,6 +5,12 @@ Where points hardly reach a node, what it gets of their mass is round-off, or ne
 on it would throw it ahead. So a node whose mass is below a share of the mean around it takes less
 of the force or none, and what is left goes to the nodes around it in proportion to their masses:
 momentum is kept. Its velocity stays momentum by mass.
+
+With linear functions, a point that has just entered a cell gives its far nodes hardly any mass, but
+its full share of stress: an element whose node has the share s of its mass needs ``(c dt / h)^2 < 2
+s``. There, points are deformed by their new velocities, mapped back to the nodes (D. Sulsky, S.-J.
+Zhou, H. L. Schreyer, Computer Physics Communications 87, 1995): a light node may be thrown ahead,
+but the points get a share of it that is as small as its mass.
 """
 
 from __future__ import annotations

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""Averages of J: which laws have them, and bodies that do not lock go without."""
+
+import math
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+from explicit_runs import simulate
+
+from fenicsmpm import diagnostics, formulations, points
+from fenicsmpm.materials import (
+    Hencky,
+    Law,
+    NeoHookean,
+    NewtonianFluid,
+    VonMises,
+    bulk_to_shear,
+    compiled,
+)
+
+
+@compiled
+def hookean(F, L, parameters, state, sigma):
+    mu, kappa = parameters[0], parameters[1]
+    mean = (F[0, 0] + F[1, 1] + F[2, 2]) / 3 - 1
+    for i in range(3):
+        for j in range(3):
+            sigma[i, j] = mu * (F[i, j] + F[j, i])
+        sigma[i, i] += 3 * kappa * mean - 2 * mu * (mean + 1)
+
+
+def test_which_laws_have_averages():
+    flowing = formulations.FBar(r=0.3, s=100.0)
+    assert formulations.default_fbar(NewtonianFluid(kappa=1e6, mu=1.0)) == flowing
+    assert formulations.default_fbar(VonMises(E=1.0, nu=0.3, sigma_y=1.0)) == flowing
+    assert formulations.default_fbar(Hencky(E=1.0, nu=0.4)) is None
+    assert formulations.default_fbar(Hencky(E=1.0, nu=0.49)) == formulations.FBar()
+    rubber = NeoHookean(E=1.0, nu=0.499).pointwise()
+    assert formulations.default_fbar(rubber) == formulations.FBar()
+
+
+def test_a_law_of_one_s_own_is_asked_for_its_moduli():
+    for kappa, averages in ((2.0, None), (60.0, formulations.FBar())):
+        law = Law(hookean, [1.0, kappa], kappa + 4 / 3, needs_rate=False)
+        assert bulk_to_shear(law) == pytest.approx(kappa, rel=1e-6)
+        assert formulations.default_fbar(law) == averages
+    assert bulk_to_shear(NewtonianFluid(kappa=1e6)) == math.inf
+
+
+@pytest.mark.parametrize("functions", ["quadratic", "gimp"])
+def test_pressure_at_rest(functions):
+    """s_xx / s_yy = nu / (1 - nu) in all rows of a column under its weight."""
+    h = 0.5
+    for nu in (0.0, 0.3):
+        domain = mesh.create_rectangle(
+            MPI.COMM_SELF, [(0, 0), (4 * h, 6)], [4, round(6 / h)], mesh.CellType.quadrilateral
+        )
+        body = points.lattice(domain, h / 2, inside=lambda x: x[:, 1] < 4)
+        formulations.set_initial_state(body, 2000.0)
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+        walls = [
+            formulations.roller(V, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 4 * h)),
+            formulations.roller(V, 1, lambda x: np.isclose(x[1], 0)),
+        ]
+        law = Hencky(E=50e6, nu=nu)
+        sim = simulate(
+            V, {body: law}, functions=functions, gravity=(0, -9.81), bcs=walls, damping=0.8
+        )
+        for _ in sim.run(2.0, 2.0):
+            pass
+        ratio = body["sigma"][:, 0, 0] / body["sigma"][:, 1, 1]
+        assert np.abs(ratio - nu / (1 - nu)).max() < 0.01
+
+
+def test_waves_in_a_bar():
+    """First mode of a bar with nu = 0, ten periods: its energy stays."""
+    h = 0.04
+    domain = mesh.create_rectangle(
+        MPI.COMM_SELF, [(0, 0), (1.2, 3 * h)], [30, 3], mesh.CellType.quadrilateral
+    )
+    body = points.fill(domain, 2, inside=lambda x: x[:, 0] < 1)
+    law = Hencky(E=100.0, nu=0.0)
+
+    def velocity(x):
+        return np.stack([0.01 * np.sin(np.pi * x[:, 0] / 2), 0 * x[:, 0]], axis=1)
+
+    formulations.set_initial_state(body, 1.0, velocity)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    walls = [
+        formulations.roller(V, 0, lambda x: np.isclose(x[0], 0)),
+        formulations.roller(V, 1, lambda x: np.isclose(x[1], 0) | np.isclose(x[1], 3 * h)),
+    ]
+    sim = simulate(V, {body: law}, bcs=walls)
+    start = diagnostics.kinetic_energy(body)
+    for _ in sim.run(4.0, 4.0):
+        pass
+    left = diagnostics.kinetic_energy(body) + diagnostics.strain_energy(body, law)
+    assert left > 0.995 * start
+
+
+def test_discs_bounce():
+    """Two elastic discs meet head-on and part: most of their kinetic energy is left."""
+    law = Hencky(E=1e3, nu=0.3)
+    domain = mesh.create_rectangle(
+        MPI.COMM_SELF, [(-0.2, -0.2), (1.2, 1.2)], [28, 28], mesh.CellType.quadrilateral
+    )
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    bodies = []
+    for place, speed in ((0.2, 0.1), (0.8, -0.1)):
+        disc = points.lattice(domain, 0.0125, inside=lambda x, c=place: np.hypot(*(x - c).T) < 0.2)
+        formulations.set_initial_state(disc, 1e3, lambda x, v=speed: np.full_like(x, v))
+        bodies.append(disc)
+    sim = simulate(V, dict.fromkeys(bodies, law), functions="gimp")
+    before = sum(map(diagnostics.kinetic_energy, bodies))
+    for _ in sim.run(3.2, 3.2):
+        pass
+    assert sum(map(diagnostics.kinetic_energy, bodies)) > 0.9 * before
