@@ -116,9 +116,7 @@ class LagrangeStencil:
         Returns:
             ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
         """
-        table = self.table(element, 1)
-        values = table[:, 0]
-        return np.where(table[:, 1:].any(axis=1), np.maximum(values, LEAST), values)
+        return np.maximum(self.table(element, 0)[:, 0], LEAST)
 
     def _refresh(self) -> None:
         if self._version != self.points.version:

@@ -22,7 +22,7 @@ class Window(NamedTuple):
         size: nodes in each direction.
         far: distance in memory of nodes next to each other in the first direction.
         near: the same in the second direction.
-        count: places in memory, of which some are not used.
+        places: in memory, of which some are not used.
     """
 
     side: int
@@ -30,7 +30,7 @@ class Window(NamedTuple):
     size: int
     far: int
     near: int
-    count: int
+    places: int
 
 
 def window(dim: int, width: int) -> Window:

@@ -140,6 +140,7 @@ class ExplicitMPM:
         self.reaction = np.zeros(V.mesh.geometry.dim)
         self.seconds = Stopwatch()
         self._cfl, self._given_dt, self._warned = cfl, dt, False
+        self._longest_dt = math.inf
         self._h = _smallest_height(V.mesh)
         way = OnLattice if self._is_for_kernels() else ByForms
         self.dt = dt or 1.0
@@ -244,7 +245,7 @@ class ExplicitMPM:
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
-        self._way.memory = values
+        self._way.memory = dict(values)
         for i, box in enumerate(self.rigid):
             box.moved = np.array([values[f"box {i} moved {k}"] for k in range(len(box.moved))])
 

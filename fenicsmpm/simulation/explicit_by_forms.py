@@ -252,7 +252,7 @@ class ByForms:
 
     def _nodal_velocity(self, v: Mapping[MaterialPoints, Array], result: fem.Function) -> Array:
         """Velocity of the nodes from those of the points; mass of the nodes [kg]."""
-        sums = sum(body.momentum(self._V, v[body.points]) for body in self._bodies)
+        sums = np.sum([body.momentum(self._V, v[body.points]) for body in self._bodies], axis=0)
         mass = sums[:, :1]
         # where functions end, round-off may have any sign
         mass[mass <= self._least_mass] = 0.0

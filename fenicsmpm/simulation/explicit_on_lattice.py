@@ -161,8 +161,10 @@ class OnLattice:
             return True
         place = locator(mesh)
         home = True
-        for part in (*self._engine.parts, *self._engine.carried):
-            cell, xi = place.locate(part.positions, owned=True)
+        positions = [part.positions for part in self._engine.parts]
+        positions += [carried.positions for carried in self._engine.carried]
+        for x in positions:
+            cell, xi = place.locate(x, owned=True)
             home &= bool(np.all(place.is_sure(cell, xi)))
         return mesh.comm.allreduce(home, MPI.LAND)
 
@@ -268,8 +270,9 @@ class OnLattice:
             mine = np.concatenate([[float(failed), float(strays)], reaction, *forces])
             comm.Allreduce(MPI.IN_PLACE, mine, MPI.SUM)
             failed, strays = mine[0] > 0, mine[1] > 0
-            reaction, *forces = np.split(mine[2:], np.cumsum([3, *map(len, forces)])[:-1])
-            for box, force in zip(sim.rigid, forces, strict=True):
+            reaction_sum, *box_sums = np.split(mine[2:], np.cumsum([3, *map(len, forces)])[:-1])
+            reaction = reaction_sum
+            for box, force in zip(sim.rigid, box_sums, strict=True):
                 box.force = force.copy()
         if failed:
             sim.raise_if(messages)

@@ -29,6 +29,7 @@ from fenicsmpm.transfer.tiles import (
     Integers,
     Layout,
     Nodes,
+    Numbers,
     Units,
     around,
     chunks_of,
@@ -83,6 +84,8 @@ class Part:
         self._half = half_size(points)
         self._nodes = nodes
         self._body: Body | None = None
+        self._order: Numbers = np.empty(0, dtype=np.int32)
+        self._sigma: Array = np.empty((0, LANES))
         self._sum_volumes: Sums | None = None
         self._sum_averages: Sums | None = None
 
@@ -158,7 +161,7 @@ class Part:
         self._all_rows = grid.tile_rows(everywhere, nodes.per_tile)
         self.rows = self._all_rows[: self._n_tiles]
         averaged = 0 if self._fbar is None else everywhere
-        self._all_sums = np.zeros((averaged, nodes.per_tile, 1))
+        self._all_sums: Array = np.zeros((averaged, nodes.per_tile, 1))
         self._sums = self._all_sums[: self._n_tiles]
         self.free()
         if self._fbar is not None:
@@ -390,13 +393,17 @@ class Part:
         """
         points = self.points
         self.free()
-        self.rows = self._all_rows = self._all_sums = self._sums = np.empty((0, 0, LANES))
+        self._forget_nodes()
         if points.version == self._version:
             self._give_back()
         self.drop()
         if sort:
             width = WIDTH[self._kind]
             points.sort(sort_keys(np.ascontiguousarray(points.x), self._nodes, width)[0])
+
+    def _forget_nodes(self) -> None:
+        self._all_rows = self._all_sums = np.empty((0, 0, LANES))
+        self.rows, self._sums = self._all_rows, self._all_sums
 
     def _give_back(self) -> None:
         points, written = self.points, self.points.changed
@@ -465,7 +472,8 @@ class Carried:
         """Make the kernels, which are compiled at first use."""
         dim = points.mesh.geometry.dim
         self.points = points
-        self._kernels, self._kind = carriers(dim, kind), kind
+        kernels = carriers(dim, kind)
+        self._add_forces, self._follow, self._kind = kernels.add_forces, kernels.follow, kind
         self._half = half_size(points)
         self._x: Array | None = None
 
@@ -495,7 +503,7 @@ class Carried:
         Returns:
             A point without any mass at its nodes; or -1.
         """
-        return self._kernels.add_forces(
+        return self._add_forces(
             nodes, ids, self._half, self._x, force, _flat(rows), forces.reshape(-1, 3)
         )  # fmt: skip
 
@@ -506,7 +514,7 @@ class Carried:
             A point that has left the lattice, or -1; and whether one has gone further than tiles
             are laid.
         """
-        bad, strays = self._kernels.follow(
+        bad, strays = self._follow(
             nodes, ids, self._half, self._x, len(self.points), self._t_low, self._t_high,
             _flat(rows), dt,
         )  # fmt: skip

@@ -71,7 +71,8 @@ class Residual:
         self.internal: set[MaterialPoints] = set()
         self.gravity: dict[MaterialPoints, fem.Constant] = {}
         self.loads: dict[MaterialPoints, Any] = {}
-        rest_at_bodies, rest_elsewhere = [], []
+        rest_at_bodies: list[ufl.Integral] = []
+        rest_elsewhere: list[ufl.Integral] = []
         for integral, term in _terms(R):
             points = _set_of(integral, bodies)
             if points is not None:

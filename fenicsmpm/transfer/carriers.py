@@ -54,7 +54,7 @@ class Carriers(NamedTuple):
     """What points without material do; see ``carriers``."""
 
     add_forces: Callable[..., int]
-    follow: Callable[..., int]
+    follow: Callable[..., Any]
 
 
 @functools.cache

@@ -100,7 +100,7 @@ def transfers(
     width, fill = WIDTH[kind], stencils(dim, kind, in_window=True)
     depth = width if dim == 3 else 1
     copies, shape = windows(dim, width), window(dim, width)
-    far, near, count = shape.far, shape.near, shape.count
+    far, near, count = shape.far, shape.near, shape.places
     set_stress = stresses(update, update_eight, n_state, rates)
 
     @_inline

@@ -240,10 +240,10 @@ class DofLink:
         # to the tiles' keepers, and from these to the ranks that have them
         if comm.size > 1:
             data = exchange(comm, _keeper(tile, comm), data)
-        which, rank = sharing.holders(data["tile"])
+        which, holder = sharing.holders(data["tile"])
         data = {name: a[which] for name, a in data.items()}
         if comm.size > 1:
-            data = exchange(comm, rank, data)
+            data = exchange(comm, holder.astype(np.int32), data)
         order = np.lexsort((data["index"], data["owner"]))
         self.index, self._owner = data["index"][order], data["owner"][order]
         place = np.searchsorted(ids, data["tile"][order])

@@ -358,7 +358,8 @@ def limits(low: Integers, high: Integers, nodes: Nodes, kind: int) -> tuple[Floa
     """Positions, in cells, of points whose first node is in ``low ... high``, ``(n, 3)`` each."""
     width = WIDTH[kind]
     shift = 0.5 if width == 3 else float((width - 1) // 2)
-    t_low, t_high = low + shift, high + shift + 1 - ON_WALL
+    t_low = np.asarray(low + shift, dtype=np.float64)
+    t_high = np.asarray(high + shift + 1 - ON_WALL, dtype=np.float64)
     t_low[low == 0] = -np.inf
     t_high[high >= nodes.shape - width] = np.inf
     return t_low, t_high

@@ -52,7 +52,7 @@ def windows(dim: int, width: int) -> Windows:
     """Compile copies between tiles and windows, for functions of some nodes a direction."""
     shape = window(dim, width)
     side, margin, size, far, near = shape.side, shape.margin, shape.size, shape.far, shape.near
-    count, reach = shape.count, LINE_LANES - 1
+    count, reach = shape.places, LINE_LANES - 1
     layers = range(3) if dim == 3 else range(1, 2)
     first_layer, last_layer = layers[0], layers[-1] + 1
     depth, side_z = (size, side) if dim == 3 else (1, 1)
