@@ -125,6 +125,9 @@ class ImplicitMPM:
             for name in scheme.histories:
                 if name not in body:
                     body.add_field(name, shapes["u"])
+            for name, value in scheme.updates(body).items():
+                if name not in body:
+                    body.add_field(name, value.ufl_shape)
             if "grad_v" not in body:
                 body.add_field("grad_v", (*shapes["u"], body.mesh.geometry.dim))
         for points in self.carried:

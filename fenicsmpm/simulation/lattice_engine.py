@@ -25,7 +25,7 @@ from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS
-from fenicsmpm.transfer.sharing import DofLink, NodeNumbers, Sharing, Sums
+from fenicsmpm.transfer.sharing import DofLink, NodeNumbers, Sharing, Sums, copy_rows
 from fenicsmpm.transfer.tiles import Nodes, lay, nodes_of
 
 Array = npt.NDArray[np.float64]
@@ -78,8 +78,8 @@ class LatticeEngine:
         self._sum_forces: Sums | None = None
         self._all_dofs: DofLink | None = None
         self._numbers = NodeNumbers(V)
-        # nodes of functions that are not zero since they were written
-        self._written: dict[fem.Function, npt.NDArray[np.int32]] = {}
+        # nodes of functions, by id, that are not zero since they were written
+        self._written: dict[int, npt.NDArray[np.int32]] = {}
         self._strays = False
 
     # --- a block of steps --------------------------------------------------------------------
@@ -390,9 +390,14 @@ class LatticeEngine:
     def _write(self, values: Array, function: fem.Function) -> None:
         link = self._dof_link()
         nodal = function.x.array.reshape(-1, values.shape[1])
-        nodal[self._written.get(function, slice(None))] = 0.0
+        written = self._written.get(id(function))
+        if written is not self._dofs:
+            nodal[slice(None) if written is None else written] = 0.0
+            self._written[id(function)] = self._dofs
+        if self._comm.size == 1:
+            copy_rows(values, link.places, self._dofs, link.index, nodal)
+            return
         nodal[self._dofs] = link.collect(values[link.places])
-        self._written[function] = self._dofs
         function.x.scatter_forward()
 
     def _dof_link(self) -> DofLink:

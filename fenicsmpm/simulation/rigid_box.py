@@ -51,7 +51,7 @@ class RigidBox:
         self.reach, self.velocity = reach, velocity
         self.friction, self.stiffness = friction, stiffness
         self.moved: npt.NDArray[np.float64] = np.zeros(len(self._lower))
-        self.force = np.zeros(len(self._lower))
+        self.force: npt.NDArray[np.float64] = np.zeros(len(self._lower))
 
     @property
     def lower(self) -> npt.NDArray[np.float64]:

@@ -37,6 +37,14 @@ def _pack(tiles, chosen, columns, packed):
 
 
 @njit
+def copy_rows(values, places, dofs, index, nodal):
+    """Rows ``places`` of values to rows ``dofs[index]`` of nodal values."""
+    for i in range(len(places)):
+        for k in range(values.shape[1]):
+            nodal[dofs[index[i]], k] = values[places[i], k]
+
+
+@njit
 def _clear(tiles, chosen, columns):
     for t in range(len(chosen)):
         for n in range(tiles.shape[1]):
