@@ -23,7 +23,7 @@ from mpi4py import MPI
 import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import explicit, points
+from fenicsmpm import ExplicitMPM, basis, formulations, points
 from fenicsmpm.materials import (
     Hencky,
     Law,
@@ -65,9 +65,11 @@ def explicit_step(dim, name):
     domain = create(MPI.COMM_WORLD, [(0,) * dim, (1,) * dim], [8] * dim, cells)
     body = points.lattice(domain, 1 / 16, inside=lambda x: x.max(axis=1) < 0.75)
     law = LAWS[name]()
-    explicit.set_initial_state(body, law, density=1000.0)
+    basis.use(body, "quadratic")
+    formulations.set_initial_state(body, density=1000.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
-    explicit.ExplicitMPM(V, {body: law}).step()
+    R = formulations.internal_force(ufl.TestFunction(V), body, law)
+    ExplicitMPM(R, fem.Function(V), body).step()
 
 
 def starts(dim, name):

@@ -6,7 +6,8 @@
 # until it has come to rest. Without a remedy the points' volumes lock: the panel is too stiff and
 # its mean stress a checkerboard. The demo shows how
 #
-# - an explicit simulation is set up on a lattice, with B-splines or uGIMP,
+# - an explicit simulation is set up, with B-splines or uGIMP on a lattice, or with linear functions
+#   on triangles,
 # - averages of J (F-bar) unlock it, and which of them creep,
 # - local damping leads to a static solution.
 #
@@ -52,7 +53,7 @@ AVERAGES = {
     "true-J": formulations.TRUE_J,
     "standard": None,
 }
-BASES = {"quadratic": "B-splines", "gimp": "uGIMP"}
+BASES = {"quadratic": "B-splines", "gimp": "uGIMP", "linear": "triangles"}
 
 
 @dataclass
@@ -64,7 +65,7 @@ class Case:
     @property
     def damping(self):
         """Share of local damping with which the tip comes to rest soonest."""
-        return {"quadratic": 0.8, "gimp": 0.9}[self.basis]
+        return {"quadratic": 0.8, "gimp": 0.9, "linear": 0.7}[self.basis]
 
     def label(self):
         return f"{self.averages}, {BASES[self.basis]}, h = {self.h:g} m"
@@ -83,11 +84,11 @@ def panel(x):
 def build(case):
     h = case.h
     shape = [round(50 / h), round(66 / h)]
-    domain = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, -2), (50, 64)], shape, mesh.CellType.quadrilateral
-    )
+    cells = mesh.CellType.triangle if case.basis == "linear" else mesh.CellType.quadrilateral
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, -2), (50, 64)], shape, cells)
     body = points.lattice(domain, h / 2, inside=panel)
-    basis.use(body, case.basis, **({"half_size": h / 4} if case.basis == "gimp" else {}))
+    if case.basis != "linear":  # the functions of the mesh
+        basis.use(body, case.basis, **({"half_size": h / 4} if case.basis == "gimp" else {}))
     formulations.set_initial_state(body, density=1.0)
     edge = body.select(lambda x: x[:, 0] > 48 - h / 2)
     edge["weight"] = 16 / edge.size_global  # its share of the edge's length, m
@@ -183,7 +184,7 @@ def main(arguments=None):
     add("--averages", choices=AVERAGES, nargs="+", help="of J (default: F-bar standard)")
     add("--size", type=float, default=1.0, help="of cells in m (default: %(default)s)")
     add("--steps", type=int, help="(default: 20000)")
-    add("--full", action="store_true", help="60000 steps, all averages, B-splines and uGIMP")
+    add("--full", action="store_true", help="60000 steps, all averages and functions")
     add("--short", action="store_true", help="a few steps on a coarse grid, for a test")
     add("--output", type=Path, default=Path("output"), metavar="DIR", help="(default: %(default)s)")
     if parser.parse_args(arguments).short:

@@ -434,10 +434,10 @@ def test_cell_sizes_follow_the_mesh():
         assert forms.assemble_scalar(M) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_tag_without_points_is_a_warning(caplog):
+def test_a_tag_without_points_is_a_warning(caplog, monkeypatch):
     body = points.quadrature(make_mesh("triangle"), 2)
     logger = logging.getLogger("fenicsmpm")
-    logger.propagate = True
+    monkeypatch.setattr(logger, "propagate", True)
     with caplog.at_level(logging.WARNING, logger="fenicsmpm"):
         M = forms.form(fem.Constant(body.mesh, 1.0) * body.dx(7))
     assert "no point has the tag 7" in caplog.text

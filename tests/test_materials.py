@@ -419,7 +419,8 @@ def test_what_is_wrong_is_said(make, message):
         make()
 
 
-def test_softening_warns(caplog):
+def test_softening_warns(caplog, monkeypatch):
+    monkeypatch.setattr(logging.getLogger("fenicsmpm"), "propagate", True)
     with caplog.at_level(logging.WARNING):
         VonMises(E, NU, 1.0, H=1.0)
         VonMises(E, NU, 1.0, sigma_r=2.0, eta=1.0)

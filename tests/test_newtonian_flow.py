@@ -118,7 +118,7 @@ def test_stabilization_parameters():
     """The docstring's formulas, with the velocity and the pressure of the points."""
     water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
     fm.set_initial_state(water, 5.0, velocity=lambda x: np.tile([3.0, 4.0], (len(x), 1)))
-    water["p"] = -30.0
+    water.add_field("p", (), -30.0)
     flow = Flow(water, "Newmark", dt=0.1, mu=0.7, density=5.0)
     flow.scheme.begin()
     h_squared, r_v, r_a = 1 / 8, 2 / 0.1, 4 / 0.1**2

@@ -210,9 +210,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from fenicsmpm import explicit, points
-from fenicsmpm import forms
-from fenicsmpm.formulations import Response
+from fenicsmpm import ExplicitMPM, basis, forms, formulations, points
 from fenicsmpm.materials import Hencky, Law, compiled, tangent
 @compiled
 def update(F, L, parameters, state, sigma):
@@ -227,13 +225,16 @@ quadrilateral = mesh.CellType.quadrilateral
 domain = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (1, 1)], [4] * 2, quadrilateral)
 body = points.lattice(domain, 1 / 8)
 law = Law(update, [1e6], 1e6, tangent=slope)
-explicit.set_initial_state(body, law, density=1000.0)
-sim = explicit.ExplicitMPM(fem.functionspace(domain, ("Lagrange", 1, (2,))), {body: law})
-sim.step()
+basis.use(body, "quadratic")
+formulations.set_initial_state(body, density=1000.0)
+V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+R = formulations.internal_force(ufl.TestFunction(V), body, law)
+ExplicitMPM(R, fem.Function(V), body).step()
 print(tangent(law, np.eye(3)[None]).max())
 # the loop of forms
 stretched = ufl.as_matrix(np.diag([1.1, 1.0, 1.0]).tolist())
-print(forms.evaluate(Response(Hencky(E=1e6, nu=0.0), body, stretched).P, body)[0, 0, 0] > 0)
+P = formulations.Response(Hencky(E=1e6, nu=0.0), body, stretched).P
+print(forms.evaluate(P, body)[0, 0, 0] > 0)
 """
 )
 

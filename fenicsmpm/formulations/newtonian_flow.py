@@ -84,6 +84,8 @@ class NewtonianFlow:
 
     def subscale_modulus(self, points: MaterialPoints, h_squared: Any) -> Any:
         """Shear modulus [Pa] of viscosity, of motion and of pressure in cells of size h."""
+        if "p" not in points:
+            points.add_field("p")
         v, p = points.field("v"), points.field("p")
         squared = ufl.inner(v, v) + abs(p) / self.density
         return (self.mu + self.density * ufl.sqrt(squared * h_squared) / 2) * self.scheme.rates[0]
