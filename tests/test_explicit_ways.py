@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Fused kernels on lattices do what forms and the layer between points and grid do."""
 
+from functools import cache
+
 from mpi4py import MPI
 
 import numpy as np
@@ -18,6 +20,7 @@ RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
 AVERAGES = [None, formulations.FBar(), formulations.TRUE_J, formulations.FBar(0.3, 100.0)]
 
 
+@cache  # the partition is not the same twice
 def lattice(dim, n=7):
     """The unit square or cube, whose cells are seen by all ranks that need them."""
     kind = mesh.CellType.quadrilateral if dim == 2 else mesh.CellType.hexahedron
