@@ -55,8 +55,10 @@ class PointIntegral:
         self.tag = tag
         if tag is not None:
             self._warn_of_unknown_tag(tag)
-        self.stencil = stencil_of(points)
         self.lowered = lower(integrand, points.mesh)
+        # without functions on the grid, points go by cells, whatever the ranks see around these
+        by_cells = points.grid_functions is not None and not self._has_functions()
+        self.stencil = LagrangeStencil(points) if by_cells else stencil_of(points)
         self.kernel = compile_pointwise(points.mesh.comm, self.lowered, jit_options)
         # the background mesh does not move as long as it has these points
         self._cell_values = {
@@ -72,6 +74,11 @@ class PointIntegral:
         self._dofs: dict[int, npt.NDArray[np.int32]] = {}
         for source in (*self.lowered.arguments, *self.lowered.inputs):
             self._check(source)
+
+    def _has_functions(self) -> bool:
+        sources = (*self.lowered.arguments, *self.lowered.inputs)
+        spaces = (source.item.ufl_function_space() for source in sources if source.layout)
+        return any(isinstance(space, fem.FunctionSpace) for space in spaces)
 
     def _check(self, source: Source) -> None:
         """Raise if the points' grid functions cannot stand for those of a source."""
