@@ -16,8 +16,8 @@ from fenicsmpm import formulations, points
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.basis.lines import tabulate_line
 from fenicsmpm.materials import Hencky
+from fenicsmpm.simulation.lattice_carried import half_size
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
-from fenicsmpm.simulation.lattice_parts import half_size
 
 COMM = MPI.COMM_WORLD
 CELLS = 10

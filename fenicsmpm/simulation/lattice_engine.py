@@ -20,7 +20,8 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.simulation.lattice_parts import Carried, Part
+from fenicsmpm.simulation.lattice_carried import Carried
+from fenicsmpm.simulation.lattice_parts import Part
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.transfer import grid_rows as grid

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Point sets of an explicit simulation: bodies of some material, and points that carry forces."""
+"""Bodies of some material in an explicit simulation on a lattice."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import numpy.typing as npt
 
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows, in_blocks, out_of_blocks, plain_order
-from fenicsmpm.basis.lattice_stencil import half_size_in_cells
 from fenicsmpm.basis.lines import LINEAR, WIDTH
 from fenicsmpm.basis.windows import MARGIN, ON_WALL
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.simulation.lattice_carried import flat, half_size
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.body import Body
-from fenicsmpm.transfer.carriers import carriers
 from fenicsmpm.transfer.contact import contact
 from fenicsmpm.transfer.fused import transfers
 from fenicsmpm.transfer.sharing import Sharing, Sums
@@ -31,7 +30,6 @@ from fenicsmpm.transfer.tiles import (
     Nodes,
     Numbers,
     Units,
-    around,
     chunks_of,
     fill_blocks,
     lay,
@@ -221,7 +219,7 @@ class Part:
     def scatter(self) -> None:
         """Add the points with the stresses that are known to the nodes."""
         self._kernels.scatter(
-            self._units, self._nodes, self._half, self._working, self._sigma, _flat(self._all_rows)
+            self._units, self._nodes, self._half, self._working, self._sigma, flat(self._all_rows)
         )
         grid.merge(self._all_rows, self._copies)
 
@@ -240,7 +238,7 @@ class Part:
         body = self._working
         force, bad = self._contact.push(
             self._nodes, self._ids, self._half, body.x, body.v, body.mass, box.lower, box.upper,
-            velocity, box.reach, box.stiffness, box.friction, dt, _flat(self.rows),
+            velocity, box.reach, box.stiffness, box.friction, dt, flat(self.rows),
         )  # fmt: skip
         return force, bad
 
@@ -269,12 +267,12 @@ class Part:
         self._all_sums[:] = 0.0
         if self.maps_back:
             bad, strays = self._kernels.move(
-                self._units, self._nodes, self._half, self._working, _flat(rows), dt, flip
+                self._units, self._nodes, self._half, self._working, flat(rows), dt, flip
             )
             return int(bad), bool(strays)
         r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
         bad, strays = self._kernels.gather(
-            self._units, self._nodes, self._half, self._working, _flat(rows), dt, flip,
+            self._units, self._nodes, self._half, self._working, flat(rows), dt, flip,
             self._fbar is not None, r, s, self._all_sums.ravel(),
         )  # fmt: skip
         return int(bad), bool(strays)
@@ -282,7 +280,7 @@ class Part:
     def map_back(self) -> Array:
         """Mass and momentum of the moved points, where they were, ``(n_tiles, nodes, 8)``."""
         back = grid.tile_rows(len(self._all_rows), self._nodes.per_tile)
-        self._kernels.momenta(self._units, self._nodes, self._half, self._working, _flat(back))
+        self._kernels.momenta(self._units, self._nodes, self._half, self._working, flat(back))
         grid.merge(back, self._copies)
         return back[: self._n_tiles]
 
@@ -294,7 +292,7 @@ class Part:
         """
         r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
         bad = self._kernels.deform(
-            self._units, self._nodes, self._half, self._working, _flat(rows), dt,
+            self._units, self._nodes, self._half, self._working, flat(rows), dt,
             self._fbar is not None, r, s, self._all_sums.ravel(),
         )  # fmt: skip
         return int(bad)
@@ -320,7 +318,7 @@ class Part:
         self._sigma = empty_rows(9 * len(body.mass) if keep else 0, LANES)
         self._kernels.finish(
             self._units, self._nodes, self._half, body, average, self._all_sums.ravel(), again,
-            self._sigma, _flat(self._all_rows),
+            self._sigma, flat(self._all_rows),
         )  # fmt: skip
         if again:
             grid.merge(self._all_rows, self._copies)
@@ -458,95 +456,6 @@ class Part:
             else "has a stress that is not finite"
         )
         return f"point {ids[i]} {what} at {where} with J = {J[i]:g}"
-
-
-class Carried:
-    """Points without material that move with the grid, and may carry forces.
-
-    Args:
-        points: boundary points with a field "u".
-        kind: of grid functions.
-    """
-
-    def __init__(self, points: MaterialPoints, kind: int) -> None:
-        """Make the kernels, which are compiled at first use."""
-        dim = points.mesh.geometry.dim
-        self.points = points
-        kernels = carriers(dim, kind)
-        self._add_forces, self._follow, self._kind = kernels.add_forces, kernels.follow, kind
-        self._half = half_size(points)
-        self._x: Array | None = None
-
-    def begin(self) -> None:
-        """Take the present positions."""
-        self._order = plain_order(len(self.points))
-        self._x = in_blocks(self.points.x, self._order)
-
-    def find(self, nodes: Nodes) -> tuple[Integers, Integers]:
-        """First and last nodes ``(n, 3)`` that points may see until tiles are laid anew."""
-        width, dim = WIDTH[self._kind], self.points.mesh.geometry.dim
-        low, high = around(self.positions, nodes, width, MARGIN[dim])
-        self._t_low, self._t_high = limits(low, high, nodes, self._kind)
-        return low, high + width - 1
-
-    @property
-    def positions(self) -> Array:
-        """Where the points are, ``(n, d)`` [m]."""
-        assert self._x is not None
-        return out_of_blocks(self._x, self._order, len(self.points), self.points.x.shape[1:])
-
-    def add_forces(
-        self, force: Array, rows: Array, forces: Array, nodes: Nodes, ids: Integers
-    ) -> int:
-        """Add forces ``(n, d)`` [N] to those of the nodes ``(n_tiles, nodes, 3)``.
-
-        Returns:
-            A point without any mass at its nodes; or -1.
-        """
-        return self._add_forces(
-            nodes, ids, self._half, self._x, force, _flat(rows), forces.reshape(-1, 3)
-        )  # fmt: skip
-
-    def follow(self, rows: Array, nodes: Nodes, ids: Integers, dt: float) -> tuple[int, bool]:
-        """Move with the updated nodes.
-
-        Returns:
-            A point that has left the lattice, or -1; and whether one has gone further than tiles
-            are laid.
-        """
-        bad, strays = self._follow(
-            nodes, ids, self._half, self._x, len(self.points), self._t_low, self._t_high,
-            _flat(rows), dt,
-        )  # fmt: skip
-        return int(bad), bool(strays)
-
-    def describe(self, point: int, what: str) -> str:
-        """Which point it is, and where."""
-        x = self.positions[point]
-        return (
-            f"point {self.points.id[point]} of a load {what} at {np.array2string(x, precision=6)}"
-        )
-
-    def settle(self) -> None:
-        """Bring cells and displacements up to date (collective)."""
-        points = self.points
-        x = self.positions
-        points.assign({"u": points["u"] + (x - points.x)})
-        points.move(x)
-
-
-def _flat(tiles: Array) -> Array:
-    """Rows of all tiles, one after the other."""
-    return tiles.reshape(-1, LANES)
-
-
-def half_size(points: MaterialPoints) -> Array:
-    """Half of the points' size in units of cells, ``(3,)``, which only uGIMP needs (collective)."""
-    half = np.full(3, 0.5)
-    if points.grid_functions is not None:
-        given = half_size_in_cells(points.mesh, *points.grid_functions)
-        half[: len(given)] = given
-    return half
 
 
 @njit(parallel=True)

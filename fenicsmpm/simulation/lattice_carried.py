@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Points that move along in an explicit simulation on a lattice, and may carry forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.basis.blocks import in_blocks, out_of_blocks, plain_order
+from fenicsmpm.basis.lattice_stencil import half_size_in_cells
+from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.basis.windows import MARGIN
+from fenicsmpm.lanes import LANES
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.transfer.carriers import carriers
+from fenicsmpm.transfer.tiles import Integers, Nodes, around, limits
+
+Array = npt.NDArray[np.float64]
+
+
+class Carried:
+    """Points without material that move with the grid, and may carry forces.
+
+    Args:
+        points: boundary points with a field "u".
+        kind: of grid functions.
+    """
+
+    def __init__(self, points: MaterialPoints, kind: int) -> None:
+        """Make the kernels, which are compiled at first use."""
+        dim = points.mesh.geometry.dim
+        self.points = points
+        kernels = carriers(dim, kind)
+        self._add_forces, self._follow, self._kind = kernels.add_forces, kernels.follow, kind
+        self._half = half_size(points)
+        self._x: Array | None = None
+
+    def begin(self) -> None:
+        """Take the present positions."""
+        self._order = plain_order(len(self.points))
+        self._x = in_blocks(self.points.x, self._order)
+
+    def find(self, nodes: Nodes) -> tuple[Integers, Integers]:
+        """First and last nodes ``(n, 3)`` that points may see until tiles are laid anew."""
+        width, dim = WIDTH[self._kind], self.points.mesh.geometry.dim
+        low, high = around(self.positions, nodes, width, MARGIN[dim])
+        self._t_low, self._t_high = limits(low, high, nodes, self._kind)
+        return low, high + width - 1
+
+    @property
+    def positions(self) -> Array:
+        """Where the points are, ``(n, d)`` [m]."""
+        assert self._x is not None
+        return out_of_blocks(self._x, self._order, len(self.points), self.points.x.shape[1:])
+
+    def add_forces(
+        self, force: Array, rows: Array, forces: Array, nodes: Nodes, ids: Integers
+    ) -> int:
+        """Add forces ``(n, d)`` [N] to those of the nodes ``(n_tiles, nodes, 3)``.
+
+        Returns:
+            A point without any mass at its nodes; or -1.
+        """
+        return self._add_forces(
+            nodes, ids, self._half, self._x, force, flat(rows), forces.reshape(-1, 3)
+        )  # fmt: skip
+
+    def follow(self, rows: Array, nodes: Nodes, ids: Integers, dt: float) -> tuple[int, bool]:
+        """Move with the updated nodes.
+
+        Returns:
+            A point that has left the lattice, or -1; and whether one has gone further than tiles
+            are laid.
+        """
+        bad, strays = self._follow(
+            nodes, ids, self._half, self._x, len(self.points), self._t_low, self._t_high,
+            flat(rows), dt,
+        )  # fmt: skip
+        return int(bad), bool(strays)
+
+    def describe(self, point: int, what: str) -> str:
+        """Which point it is, and where."""
+        x = self.positions[point]
+        return (
+            f"point {self.points.id[point]} of a load {what} at {np.array2string(x, precision=6)}"
+        )
+
+    def settle(self) -> None:
+        """Bring cells and displacements up to date (collective)."""
+        points = self.points
+        x = self.positions
+        points.assign({"u": points["u"] + (x - points.x)})
+        points.move(x)
+
+
+def flat(tiles: Array) -> Array:
+    """Rows of all tiles, one after the other."""
+    return tiles.reshape(-1, LANES)
+
+
+def half_size(points: MaterialPoints) -> Array:
+    """Half of the points' size in units of cells, ``(3,)``, which only uGIMP needs (collective)."""
+    half = np.full(3, 0.5)
+    if points.grid_functions is not None:
+        given = half_size_in_cells(points.mesh, *points.grid_functions)
+        half[: len(given)] = given
+    return half
