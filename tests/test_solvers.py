@@ -258,9 +258,9 @@ def test_mumps_gets_more_workspace(failures, tries, workspace, monkeypatch):
     assert len(seen) == tries and seen[-1] == workspace
 
 
-def test_a_line_an_iteration(caplog):
+def test_a_line_an_iteration(caplog, monkeypatch):
+    monkeypatch.setattr(logging.getLogger("fenicsmpm"), "propagate", True)
     with caplog.at_level(logging.INFO, logger="fenicsmpm"):
-        logging.getLogger("fenicsmpm").propagate = True
         result = Cubic().solver.solve()
     lines = [r.getMessage() for r in caplog.records]
     assert "|R|" in lines[0]
