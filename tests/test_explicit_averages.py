@@ -10,7 +10,7 @@ import pytest
 from dolfinx import fem, mesh
 from explicit_runs import simulate
 
-from fenicsmpm import diagnostics, formulations, points
+from fenicsmpm import basis, diagnostics, formulations, points
 from fenicsmpm.materials import (
     Hencky,
     Law,
@@ -73,6 +73,60 @@ def test_pressure_at_rest(functions):
             pass
         ratio = body["sigma"][:, 0, 0] / body["sigma"][:, 1, 1]
         assert np.abs(ratio - nu / (1 - nu)).max() < 0.01
+
+
+@pytest.mark.parametrize("functions", ["linear", "quadratic", "cubic", "gimp"])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
+def test_stresses_at_walls_with_averages(functions, nu):
+    """Averages that are forced on bend them below the free surface, but not at the floor."""
+    h = 0.5
+    domain = mesh.create_rectangle(
+        MPI.COMM_SELF, [(0, 0), (4, 12)], [8, 24], mesh.CellType.quadrilateral
+    )
+    body = points.lattice(domain, h / 2, inside=lambda x: x[:, 1] < 10)
+    formulations.set_initial_state(body, 2000.0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    walls = [
+        formulations.roller(V, 0, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 4)),
+        formulations.roller(V, 1, lambda x: np.isclose(x[1], 0)),
+    ]
+    law, averages = Hencky(E=50e6, nu=nu), formulations.FBar()
+    options = {"gravity": (0, -9.81), "bcs": walls, "damping": 0.8, "fbar": averages}
+    for _ in simulate(V, {body: law}, functions=functions, **options).run(4.0, 4.0):
+        pass
+    below = (body.x - body["u"])[:, 1] < 3.0
+    sigma = body["sigma"][below]
+    assert np.abs(sigma[:, 0, 0] / sigma[:, 1, 1] - nu / (1 - nu)).max() < 0.01
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("functions", ["linear", "quadratic", "cubic", "gimp"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_linear_fields_are_averaged_exactly_at_walls(functions, dim):
+    make = mesh.create_rectangle if dim == 2 else mesh.create_box
+    kind = mesh.CellType.quadrilateral if dim == 2 else mesh.CellType.hexahedron
+    size = (1.0, 1.2, 0.8)[:dim]
+    partitioner = basis.shared_vertex_partitioner
+    domain = make(
+        MPI.COMM_WORLD, [(0,) * dim, size], (5, 6, 4)[:dim], kind, partitioner=partitioner
+    )
+    for in_a_cell in (1, 2, 3):
+        for fused in (True, False):
+            body = points.lattice(domain, 0.2 / in_a_cell)
+            formulations.set_initial_state(body, 1.0)
+            J = 1 + 0.01 * body.x @ np.array([1.0, -2.0, 3.0])[:dim]
+            body.add_field("J_bar", (), J)
+            V = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
+            options = {"dt": 1e-9, "fbar": formulations.ALGORITHM_1}
+            sim = simulate(
+                V,
+                {body: Hencky(E=1.0, nu=0.3)},
+                functions=functions,
+                on_exit="error" if fused else "clamp",
+                **options,
+            )
+            sim.step()
+            assert body["J_bar"] == pytest.approx(J, rel=1e-12)
 
 
 def test_waves_in_a_bar():

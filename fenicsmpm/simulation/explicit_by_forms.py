@@ -32,6 +32,7 @@ from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.contact import keep_points_out, push_points
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS, LightNodes
+from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls
 
 if TYPE_CHECKING:
     from fenicsmpm.simulation.explicit import ExplicitMPM
@@ -82,6 +83,7 @@ class BodyByForms:
             fields["J_bar"] = averaged_J(points, f, averages)
             self._mean = fem.Function(scalars)
             self._mean_at_points = forms.PointExpression(self._mean, points)
+            self._walls = WallsOfBody(points).at(scalars.tabulate_dof_coordinates())
         if law is not None and law.needs_rate:
             fields["L"] = embed(ufl.grad(straining))
         self._motion = forms.FieldUpdates(points, motion)
@@ -121,6 +123,8 @@ class BodyByForms:
         where = sums[:, 0] > 0
         self._mean.x.array[:] = 0.0
         np.divide(sums[:, 1], sums[:, 0], out=self._mean.x.array, where=where)
+        continue_to_walls(self._mean.x.array, self._walls)
+        self._mean.x.scatter_forward()  # the next nodes of ghosts may be away
         return self._mean_at_points.evaluate()
 
 

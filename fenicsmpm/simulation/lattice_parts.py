@@ -38,6 +38,7 @@ from fenicsmpm.transfer.tiles import (
     sort_keys,
     targets,
 )
+from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls
 
 Array = npt.NDArray[np.float64]
 
@@ -80,6 +81,7 @@ class Part:
         self.maps_back = kind == LINEAR
         self._contact = contact(dim, kind)
         self._half = half_size(points)
+        self._walls_of = WallsOfBody(points) if fbar is not None else None
         self._nodes = nodes
         self._body: Body | None = None
         self._order: Numbers = np.empty(0, dtype=np.int32)
@@ -162,6 +164,8 @@ class Part:
         self._all_sums: Array = np.zeros((averaged, nodes.per_tile, 1))
         self._sums = self._all_sums[: self._n_tiles]
         self.free()
+        if self._walls_of is not None:
+            self._walls = self._walls_of.in_tiles(layout.ids, nodes)
         if self._fbar is not None:
             self._sum_volumes = Sums(sharing, nodes.per_tile, [grid.VOLUME])
             self._sum_averages = Sums(sharing, nodes.per_tile, [0])
@@ -306,6 +310,7 @@ class Part:
         self._sum_volumes.add(self.rows)
         self._sum_averages.add(self._sums)
         grid.average_nodes(self.rows, self._sums)
+        continue_to_walls(self._sums.ravel(), self._walls)
 
     def finish(self, again: bool, keep: bool) -> None:
         """Stresses and new positions.

@@ -211,10 +211,7 @@ class NodeNumbers:
 
     def owned_in(self, tiles: Integers, nodes: Nodes) -> npt.NDArray[np.int32]:
         """Owned nodes in some tiles, ascending."""
-        side = [np.arange(n) for n in nodes.side]
-        in_tile = np.stack(np.meshgrid(*side, indexing="ij"), axis=-1).reshape(-1, 3)
-        first = np.stack(np.unravel_index(tiles, tuple(nodes.tiles)), axis=-1) * nodes.side
-        index = (first[:, None] + in_tile).reshape(-1, 3)
+        index = nodes.in_tiles(tiles).reshape(-1, 3)
         index = index[np.all(index < nodes.shape, axis=1)]
         vertices = self._lattice.nodes(index[:, : len(self._lattice.shape)])
         dofs = self._dof[vertices[vertices >= 0]]

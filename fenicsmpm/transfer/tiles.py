@@ -55,6 +55,16 @@ class Nodes(NamedTuple):
         """Number of nodes in a tile."""
         return int(np.prod(self.side))
 
+    def in_tiles(self, tiles: Integers) -> Integers:
+        """Numbers of the nodes of tiles in each direction, ``(n_tiles, nodes of a tile, 3)``.
+
+        Tiles at the upper ends go on beyond the lattice.
+        """
+        each = [np.arange(n) for n in self.side]
+        in_tile = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
+        first = np.stack(np.unravel_index(tiles, tuple(self.tiles)), axis=-1) * self.side
+        return np.asarray(first[:, None] + in_tile)
+
     def places(self, x: Floats) -> tuple[Integers, Integers]:
         """Tiles of the nodes at positions ``(n, 3)`` [m], and their numbers in them."""
         index = np.rint((x - self.origin) * self.per_metre).astype(np.int64)

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: MIT
+"""Averages over the grid at the walls of a lattice.
+
+A node's average of something is its value at the centroid of what the node's function weighs. Away
+from walls this is the node. At a wall, where functions end, it is the share c of the way to the
+next centroid off it, and what is averaged again in each step would lose its slope there. So the
+average is continued linearly from the next node's to the node,
+
+    J_i <- J_i + c (J_i - J_i+1),    c = (x_i - X_i) / (X_i - X_i+1)
+
+with centroids X of the functions, by as many points in each cell as the body has. Linear fields are
+then averaged exactly in bodies that fill the cells at a wall. In others, the change is at most the
+difference of two averages.
+"""
+
+# mypy: disallow_untyped_defs=False
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm._njit import njit
+from fenicsmpm.basis.lattice_stencil import KINDS
+from fenicsmpm.basis.lines import WIDTH, tabulate_line
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.location import locator
+from fenicsmpm.transfer.tiles import Nodes
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+# Cells on a line of which no more are needed: functions in the middle do not see its ends
+_CELLS = 8
+# Largest difference that is continued, as a share of a node's average: where J differs by more from
+# cell to cell, it is no smooth field
+_STEEPEST = 0.1
+
+
+class WallNodes(NamedTuple):
+    """Nodes whose averages are continued; a node in a corner is there for each direction.
+
+    Attributes:
+        nodes: ``(n,)`` their numbers.
+        inner: ``(n,)`` those of the next nodes, away from the wall.
+        shares: ``(n,)`` of the difference, c above.
+    """
+
+    nodes: Integers
+    inner: Integers
+    shares: Array
+
+
+def wall_shares(kind: int, cells: int, half: float, per_cell: int) -> Array:
+    """Shares c of the nodes at a wall and behind it, up to the last that is not 0.
+
+    Args:
+        kind: of grid functions, see `fenicsmpm.basis.lines`.
+        cells: number of cells between the walls.
+        half: half of a point's size in units of a cell (uGIMP).
+        per_cell: number of points in a cell in this direction.
+    """
+    cells = min(cells, _CELLS)
+    weight, moment = np.zeros(cells + 5), np.zeros(cells + 5)
+    values = np.zeros((3, WIDTH[kind]))
+    for cell in range(cells):
+        for t in (np.arange(per_cell) + 0.5) / per_cell:
+            first = tabulate_line(kind, cell, t, cells, half, values)
+            # what belongs to nodes beyond walls is 0
+            nodes = first + 2 + np.arange(WIDTH[kind])
+            weight[nodes] += values[0]
+            moment[nodes] += (cell + t) * values[0]
+    centroids = moment[2 : cells + 3] / weight[2 : cells + 3]
+    away = centroids - np.arange(cells + 1)
+    shares = (away[:-1] / np.diff(centroids))[: (cells + 1) // 2]
+    return np.trim_zeros(np.where(np.abs(shares) > 1e-12, shares, 0.0), "b")
+
+
+def points_in_a_cell(points: MaterialPoints, volume: float) -> int:
+    """How many points a body has in a direction of a full cell, at first (collective).
+
+    Args:
+        points: the body, with "V_0".
+        volume: of a cell [m^d].
+    """
+    total = points.mesh.comm.allreduce(float(np.sum(points["V_0"])))
+    if total == 0.0:
+        return 1
+    return max(1, round((volume * points.size_global / total) ** (1 / points.mesh.geometry.dim)))
+
+
+def find_wall_nodes(
+    index: Integers, shape: Integers, shares: list[Array]
+) -> tuple[Integers, Integers, Array]:
+    """Which nodes are near walls.
+
+    Args:
+        index: ``(n, d)`` numbers of nodes in each direction.
+        shape: ``(d,)`` number of nodes of the lattice.
+        shares: of each direction, see ``wall_shares``.
+
+    Returns:
+        Places in ``index``, numbers of the next nodes ``(m, d)``, and shares ``(m,)``.
+    """
+    nodes, inner, factors = [], [], []
+    for k, layers in enumerate(shares):
+        for layer, share in enumerate(layers):
+            for at, step in ((layer, 1), (shape[k] - 1 - layer, -1)):
+                found = np.flatnonzero(index[:, k] == at)
+                nodes.append(found)
+                inner.append(index[found] + step * (np.arange(index.shape[1]) == k))
+                factors.append(np.full(len(found), share))
+    if not nodes:
+        return np.empty(0, np.int64), np.empty((0, index.shape[1]), np.int64), np.empty(0)
+    return np.concatenate(nodes), np.concatenate(inner), np.concatenate(factors)
+
+
+@njit
+def continue_to_walls(means, walls):
+    """Continue averages to walls in place.
+
+    Args:
+        means: ``(n,)`` positive averages at nodes; 0 where there is nothing.
+        walls: the nodes, see ``WallNodes``.
+    """
+    change = np.zeros(len(walls.nodes))
+    for i in range(len(change)):
+        here, next_one = means[walls.nodes[i]], means[walls.inner[i]]
+        if here != 0.0 and next_one != 0.0:
+            limit = _STEEPEST * here
+            change[i] = walls.shares[i] * min(max(here - next_one, -limit), limit)
+    for i in range(len(change)):
+        means[walls.nodes[i]] += change[i]
+
+
+class WallsOfBody:
+    """The nodes near walls for a body's averages, in whatever numbers its nodes have.
+
+    Without a lattice there are none.
+
+    Args:
+        points: the body, with "V_0" (collective).
+    """
+
+    def __init__(self, points: MaterialPoints) -> None:
+        """Find the shares."""
+        boxes = locator(points.mesh).geometry.boxes
+        self._boxes = boxes
+        self._shares: list[Array] = []
+        if boxes is None:
+            return
+        name, size = points.grid_functions or ("linear", None)
+        half = np.full(len(boxes.shape), 0.5) if size is None else size / boxes.spacing
+        per_cell = points_in_a_cell(points, float(np.prod(boxes.spacing)))
+        self._shares = [
+            wall_shares(KINDS[name], int(n), h, per_cell)
+            for n, h in zip(boxes.shape, half, strict=True)
+        ]
+
+    def at(self, x: Array) -> WallNodes:
+        """Those among some nodes, which are numbered through.
+
+        Args:
+            x: ``(n, 3)`` where the nodes are [m].
+        """
+        if self._boxes is None:
+            return self.among(np.empty(0, np.int64), np.empty((0, 3), np.int64))
+        origin, spacing = self._boxes.origin, self._boxes.spacing
+        index = np.rint((x[:, : len(spacing)] - origin) / spacing).astype(np.int64)
+        return self.among(np.arange(len(x)), index)
+
+    def among(self, numbers: Integers, index: Integers) -> WallNodes:
+        """Those among some nodes, of which the next ones are there, too.
+
+        Args:
+            numbers: ``(n,)`` of the nodes.
+            index: ``(n, >= d)`` their numbers in each direction of the lattice.
+        """
+        if self._boxes is None or len(index) == 0:
+            empty = np.empty(0, np.int64)
+            return WallNodes(empty, empty, np.empty(0))
+        shape = self._boxes.shape + 1
+        index = index[:, : len(shape)]
+        nodes, inner, shares = find_wall_nodes(index, shape, self._shares)
+        flat = np.ravel_multi_index(tuple(index.T), tuple(shape))
+        order = np.argsort(flat)
+        wanted = np.ravel_multi_index(tuple(inner.T), tuple(shape))
+        at = np.minimum(np.searchsorted(flat, wanted, sorter=order), len(flat) - 1)
+        found = order[at]
+        there = flat[found] == wanted
+        return WallNodes(numbers[nodes[there]], numbers[found[there]], shares[there])
+
+    def in_tiles(self, ids: Integers, nodes: Nodes) -> WallNodes:
+        """Those in some tiles, numbered through.
+
+        Args:
+            ids: ``(n,)`` numbers of the tiles, in ascending order.
+            nodes: of the lattice.
+        """
+        tile = np.stack(np.unravel_index(ids, tuple(nodes.tiles)), axis=-1)
+        # near a wall in a direction that has several nodes; the next node may be a tile further
+        near = (tile < 1) | (tile >= nodes.tiles - 2)
+        tiles = np.flatnonzero((near & (nodes.shape > 1)).any(axis=1))
+        index = nodes.in_tiles(ids[tiles])
+        numbers = tiles[:, None] * nodes.per_tile + np.arange(nodes.per_tile)
+        inside = np.all(index < nodes.shape, axis=2)
+        return self.among(numbers[inside], index[inside])
