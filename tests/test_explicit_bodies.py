@@ -48,10 +48,11 @@ def test_functions_at_walls_are_those_of_the_basis(kind, in_window):
     fill, rows = stencils(2, kind, in_window), in_blocks(x, plain_order(len(x)))
     lower = np.array([-2.0, -1.0, 0.0]) if in_window else np.zeros(3)
     far = window(2, width).far if in_window else cells + 1
-    base, w, d = np.empty(LANES, np.int64), np.empty((3 * width, LANES)), np.empty((12, LANES))
+    corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)
+    w, d = np.empty((3 * width, LANES)), np.empty((12, LANES))
     line = np.zeros((3, 4))
     for p in range(len(x)):
-        fill(rows, p // LANES, nodes, np.full(3, half), lower, base, w, d)
+        fill(rows, p // LANES, nodes, np.full(3, half), lower, corner, base, w, d)
         i, firsts = p % LANES, []
         for k in range(2):
             cell = min(int(x[p, k]), cells - 1)

@@ -115,8 +115,9 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
 
     Its arguments are positions ``(n_blocks * d, 8)``, the number of the block, the nodes
     (``tiles.Nodes``), the points' half size in cells, the first node ``(3,)`` of a window, and
-    results: the place in the window of each point's first node ``(8,)``, values and slopes
-    ``(3 * width, 8)``, row ``k * width + a`` for the a-th node in direction k.
+    results: each point's first node in the window in each direction ``(3, 8)``, its place there
+    ``(8,)``, values and slopes ``(3 * width, 8)``, row ``k * width + a`` for the a-th node in
+    direction k.
 
     Args:
         dim: 2 or 3.
@@ -151,7 +152,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
         return first, values, slopes
 
     @_inline
-    def fill(x, block, nodes, half, lower, base, w, d):
+    def fill(x, block, nodes, half, lower, corner, base, w, d):
         near_wall, place = False, zeros()
         for k in range(dim):
             t = (load(x, block * dim + k) - nodes.origin[k]) * nodes.per_metre[k]
@@ -160,6 +161,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
             for a in range(width):
                 store(w, k * width + a, values[a])
                 store(d, k * width + a, slopes[a] * nodes.per_metre[k])
+            store(corner, k, first - lower[k])
             place = place + (first - lower[k]) * float(step(k, nodes))
         store_integers(base, place)
         if near_wall:
@@ -169,6 +171,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
                     t_i = (x[block * dim + k, i] - nodes.origin[k]) * nodes.per_metre[k]
                     n = nodes.shape[k] - 1
                     first_i, values_i, slopes_i = at_wall(t_i, n, half[k])
+                    corner[k, i] = first_i - np.int64(lower[k])
                     number += (first_i - np.int64(lower[k])) * step(k, nodes)
                     for a in range(width):
                         w[k * width + a, i] = values_i[a]

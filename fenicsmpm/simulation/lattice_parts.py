@@ -155,6 +155,8 @@ class Part:
             source=everything.neighbours[np.searchsorted(everything.ids, tiles)],
             body_source=layout.neighbours[units],
             target=target,
+            first=np.zeros((len(units), 3), np.int64),
+            last=np.zeros((len(units), 3), np.int64),
         )
         self._ids, self._n_tiles = layout.ids, len(layout.ids)
         everywhere = self._n_tiles + len(self._copies)

@@ -72,14 +72,14 @@ def carriers(dim: int, kind: int) -> Carriers:
         Returns:
             A point without any mass at its nodes; or -1.
         """
-        base = np.empty(LANES, np.int64)
+        corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         places, values = np.empty(count, np.int64), np.empty(count)
         bad = -1
         for p in range(len(force)):
             i = p % LANES
             if i == 0:
-                fill(x, p // LANES, nodes, half, lower, base, w, d)
+                fill(x, p // LANES, nodes, half, lower, corner, base, w, d)
             find(i, base, w, nodes, ids, places, values)
             mass = 0.0
             for n in range(count):
@@ -99,14 +99,14 @@ def carriers(dim: int, kind: int) -> Carriers:
             One of them that has left the lattice, or -1; and whether one has gone further than its
             tiles.
         """
-        base = np.empty(LANES, np.int64)
+        corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         places, values = np.empty(count, np.int64), np.empty(count)
         bad, strays = -1, False
         for p in range(points):
             block, i = p // LANES, p % LANES
             if i == 0:
-                fill(x, block, nodes, half, lower, base, w, d)
+                fill(x, block, nodes, half, lower, corner, base, w, d)
             find(i, base, w, nodes, ids, places, values)
             for k in range(dim):
                 for n in range(count):

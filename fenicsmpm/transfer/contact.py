@@ -161,7 +161,7 @@ def contact(dim: int, kind: int) -> Contact:
         Returns:
             Their sum ``(d,)``, and a block with a point inside of the box, or -1.
         """
-        base = np.empty(LANES, np.int64)
+        corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
         normal, force, total = np.zeros(dim), np.zeros(dim), np.zeros(dim)
         places, values = np.empty(count, np.int64), np.empty(count)
@@ -178,7 +178,7 @@ def contact(dim: int, kind: int) -> Contact:
                     bad = block
                 total += force
                 if filled != block:
-                    fill(x, block, nodes, half, lattice, base, w, d)
+                    fill(x, block, nodes, half, lattice, corner, base, w, d)
                     filled = block
                 find(i, base, w, nodes, ids, places, values)
                 for n in range(count):

@@ -190,22 +190,47 @@ def transfers(
                         total = add_scaled(load_line(rows, line + 1), w_c, high_b)
                         store_line(rows, line + 1, add_scaled(total, d_c, z_b))
 
+    @_inline
+    def no_reach(reach):
+        """Begin to look for the nodes of the points of a unit."""
+        for k in range(dim):
+            store(reach, k, zeros() + _HUGE)
+            store(reach, 3 + k, zeros() - _HUGE)
+
+    @_inline
+    def widen(reach, corner):
+        for k in range(dim):
+            first = load(corner, k)
+            store(reach, k, choose(first - load(reach, k), load(reach, k), first))
+            store(reach, 3 + k, choose(load(reach, 3 + k) - first, load(reach, 3 + k), first))
+
+    @_inline
+    def keep_reach(reach, units, unit):
+        for k in range(dim):
+            first, last = reach[k, 0], reach[3 + k, 0]
+            for i in range(1, LANES):
+                first, last = min(first, reach[k, i]), max(last, reach[3 + k, i])
+            units.first[unit, k], units.last[unit, k] = int(first), int(last) + width - 1
+
     @_njit
     def scatter(chunk, units, nodes, half, body, sigma, rows):
         """Points with known stresses (3, 3) to the nodes."""
-        base = np.empty(LANES, np.int64)
+        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         lines, scratch = scratch_rows(_ALL, LINE_LANES), scratch_rows(count, LANES)
+        reach = scratch_rows(6, LANES)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.clear_rows(scratch)
+            no_reach(reach)
             lower = units.lower[unit]
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fill(body.x, block, nodes, half, lower, base, w, d)
+                fill(body.x, block, nodes, half, lower, corner, base, w, d)
+                widen(reach, corner)
                 V = determinant(body.F, block * dim * dim) * load(body.V_0, block)
                 pack(block, body, V, sigma, 9 * block, lines)
                 for i in range(LANES):
                     add_to_nodes(i, base, w, d, lines, scratch)
-            copies.add_rows(unit, units.target, scratch, rows)
+            keep_reach(reach, units, unit)
+            copies.add_rows(unit, units.target, units.first, units.last, scratch, rows)
 
     @_inline
     def from_nodes(i, base, w, d, rows, lines):
@@ -331,21 +356,19 @@ def transfers(
         Found are a block with a point that is inverted, not finite or outside of the lattice, or
         -1; and whether a point has left its window.
         """
-        base = np.empty(LANES, np.int64)
+        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
         lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
-        scratch, work = scratch_rows(count, LANES), np.empty(count)
+        scratch = scratch_rows(count, LANES)
         averages = scratch_rows(count + SPARE, LINE_LANES)
         found[0], stay = -1, True
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.load_rows(unit, units.source, rows, scratch)
-            if average:
-                copies.clear_lines(averages)
+            copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
             lower = units.lower[unit]
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
                 fetch(body, block + _AHEAD)
-                fill(body.x, block, nodes, half, lower, base, w, d)
+                fill(body.x, block, nodes, half, lower, corner, base, w, d)
                 for i in range(LANES):
                     from_nodes(i, base, w, d, scratch, lines)
                 good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
@@ -356,7 +379,7 @@ def transfers(
                 if not good:
                     found[0] = block
             if average:
-                copies.add_lines(unit, units.target, averages, work, sums)
+                copies.add_lines(unit, units.target, units.first, units.last, averages, sums)
         found[1] = 0 if stay else 1
 
     # Linear functions: points are moved, their velocities mapped back, and then deformed
@@ -364,14 +387,14 @@ def transfers(
     @_njit
     def move_only(chunk, units, nodes, half, body, rows, dt, flip, found):
         """As ``gather``, without F."""
-        base = np.empty(LANES, np.int64)
+        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         lines, scratch = scratch_rows(_ALL, LINE_LANES), scratch_rows(count, LANES)
         found[0], stay = -1, True
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.load_rows(unit, units.source, rows, scratch)
+            copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fill(body.x, block, nodes, half, units.lower[unit], base, w, d)
+                fill(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
                 for i in range(LANES):
                     from_nodes(i, base, w, d, scratch, lines)
                 good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
@@ -383,19 +406,17 @@ def transfers(
     @_njit
     def deform_only(chunk, units, nodes, half, body, rows, dt, average, r, s, sums, found):
         """The rest of ``gather``, by velocities that were mapped back."""
-        base = np.empty(LANES, np.int64)
+        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
         lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
-        scratch, work = scratch_rows(count, LANES), np.empty(count)
+        scratch = scratch_rows(count, LANES)
         averages = scratch_rows(count + SPARE, LINE_LANES)
         found[0] = -1
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.load_rows(unit, units.source, rows, scratch)
-            if average:
-                copies.clear_lines(averages)
+            copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fill(body.x, block, nodes, half, units.lower[unit], base, w, d)
+                fill(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
                 for i in range(LANES):
                     from_nodes(i, base, w, d, scratch, lines)
                 if not deform(
@@ -403,18 +424,17 @@ def transfers(
                 ):
                     found[0] = block
             if average:
-                copies.add_lines(unit, units.target, averages, work, sums)
+                copies.add_lines(unit, units.target, units.first, units.last, averages, sums)
 
     @_njit
     def momenta(chunk, units, nodes, half, body, rows):
         """Mass and momentum of the points, where they were, to the nodes."""
-        base = np.empty(LANES, np.int64)
+        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         lines, scratch = scratch_rows(LANES, LINE_LANES), scratch_rows(count, LANES)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.clear_rows(scratch)
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fill(body.x, block, nodes, half, units.lower[unit], base, w, d)
+                fill(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
                 m = load(body.mass, block)
                 store_column(lines, MASS, LINE_LANES, m)
                 for k in range(3):
@@ -434,7 +454,7 @@ def transfers(
                                     w_c = w_b
                                 place = 2 * (base[i] + a * far + b * near + c)
                                 add_line(scratch, place, w_c, line)
-            copies.add_rows(unit, units.target, scratch, rows)
+            copies.add_rows(unit, units.target, units.first, units.last, scratch, rows)
 
     @_inline
     def means(base, w, averages, lines):
@@ -463,18 +483,20 @@ def transfers(
         They are wanted if there is room for them in ``sigma (n_blocks * 9, 8)``.
         """
         is_kept = len(sigma) > 0
-        base = np.empty(LANES, np.int64)
+        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
         w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
         F_bar, rate, stress = scratch_rows(9, LANES), scratch_rows(9, LANES), scratch_rows(9, LANES)
         work, state_i = np.zeros((3, 3, 3)), np.empty(n_state)
         F_bar[8] = 1.0
         lines, average_lines = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
         scratch, means_of = scratch_rows(count, LANES), np.zeros(count + SPARE)
+        reach = scratch_rows(6, LANES)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
             if average:
-                copies.load_averages(unit, units.body_source, averages, means_of)
-            if again:
-                copies.clear_rows(scratch)
+                copies.load_averages(
+                    unit, units.body_source, units.first, units.last, averages, means_of
+                )
+            no_reach(reach)
             lower = units.lower[unit]
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
                 fetch(body, block + _AHEAD)
@@ -482,7 +504,7 @@ def transfers(
                 J = determinant(body.F, tensor)
                 scale = 1.0 + zeros()
                 if average:
-                    fill(body.x, block, nodes, half, lower, base, w, d)
+                    fill(body.x, block, nodes, half, lower, corner, base, w, d)
                     J_bar = means(base, w, means_of, average_lines)
                     scale = root(J_bar / J)  # eq. 18
                 else:
@@ -501,14 +523,16 @@ def transfers(
                 set_stress(block, F_bar, rate, body.parameters, body.state, work, state_i, stress)
                 if again:
                     pack(block, body, J * load(body.V_0, block), stress, 0, lines)
-                    fill(body.x_next, block, nodes, half, lower, base, w, d)
+                    fill(body.x_next, block, nodes, half, lower, corner, base, w, d)
+                    widen(reach, corner)
                     for i in range(LANES):
                         add_to_nodes(i, base, w, d, lines, scratch)
                 if is_kept:
                     for k in range(9):
                         store(sigma, 9 * block + k, load(stress, k))
             if again:
-                copies.add_rows(unit, units.target, scratch, rows)
+                keep_reach(reach, units, unit)
+                copies.add_rows(unit, units.target, units.first, units.last, scratch, rows)
 
     @_parallel
     def scatter_all(units, nodes, half, body, sigma, rows):

@@ -202,6 +202,9 @@ class Units(NamedTuple):
         source: ``(n, 27)`` tiles around each unit's one, among those of all bodies; -1 for none.
         body_source: ``(n, 27)`` among those of the points' body.
         target: ``(n, 27)`` among those of the body that the unit's thread adds to.
+        first: ``(n, 3)`` first nodes in the windows that points have where they are; kernels keep
+            it up to date.
+        last: ``(n, 3)`` last ones.
     """
 
     chunks: Integers
@@ -212,6 +215,8 @@ class Units(NamedTuple):
     source: Numbers
     body_source: Numbers
     target: Numbers
+    first: Integers
+    last: Integers
 
 
 @njit

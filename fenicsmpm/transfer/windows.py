@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Between the grid's tiles and the window in which the points of a tile see them (numba).
 
+Only those nodes of a window are copied that points have at present. Before a unit of work and after
+it, windows that are added to are empty.
+
 Rows of the grid stand tile by tile, ``(n_tiles * nodes of a tile, 8)``. Averages need one number a
 node; their sums are collected in lines of four, of a node and of those after it, because numbers
 that are read soon after they were written must be read as they were written.
@@ -39,10 +42,8 @@ def scratch_rows(n, lanes):
 class Windows(NamedTuple):
     """Copies between tiles and windows; see ``windows``."""
 
-    clear_rows: Callable[..., None]
     load_rows: Callable[..., None]
     add_rows: Callable[..., None]
-    clear_lines: Callable[..., None]
     add_lines: Callable[..., None]
     load_averages: Callable[..., None]
 
@@ -51,41 +52,41 @@ class Windows(NamedTuple):
 def windows(dim: int, width: int) -> Windows:
     """Compile copies between tiles and windows, for functions of some nodes a direction."""
     shape = window(dim, width)
-    side, margin, size, far, near = shape.side, shape.margin, shape.size, shape.far, shape.near
-    count, reach = shape.places, LINE_LANES - 1
+    side, margin, far, near = shape.side, shape.margin, shape.far, shape.near
+    reach = LINE_LANES - 1
     layers = range(3) if dim == 3 else range(1, 2)
     first_layer, last_layer = layers[0], layers[-1] + 1
-    depth, side_z = (size, side) if dim == 3 else (1, 1)
-    margin_z = margin if dim == 3 else 0
+    side_z, margin_z = (side, margin) if dim == 3 else (1, 0)
     per_tile = side * side * side_z
 
     @_inline
-    def extent(i):
-        """Nodes of the i-th of three tiles that are in the window, counted from the middle one."""
-        return max((i - 1) * side, -margin), min(i * side, size - margin)
+    def extent(i, first, last):
+        """Which nodes of the i-th of three tiles, counted from the middle one, are wanted."""
+        return max((i - 1) * side, first - margin), min(i * side, last + 1 - margin)
 
     @_inline
-    def extent_z(i):
-        return max((i - 1) * side_z, -margin_z), min(i * side_z, depth - margin_z)
+    def extent_z(i, first, last):
+        return max((i - 1) * side_z, first - margin_z), min(i * side_z, last + 1 - margin_z)
 
     def each_line(body: Any) -> Any:
         """Compile a loop over what windows and tiles have in common, line by line.
 
-        Arguments of the loop are a unit, its tiles, and two arrays; of the body the place in the
-        window, the row of the grid, the number of nodes, and the arrays.
+        Arguments of the loop are a unit, its tiles, the first and last nodes that points have in
+        the windows, ``(n, 3)`` each, and two arrays; of the body the place in the window, the row
+        of the grid, the number of nodes, and the arrays.
         """
 
         @_njit
-        def loop(unit, tiles, a, b):
+        def loop(unit, tiles, first, last, a, b):
             for i in range(3):
-                x_low, x_high = extent(i)
+                x_low, x_high = extent(i, first[unit, 0], last[unit, 0])
                 for j in range(3):
-                    y_low, y_high = extent(j)
+                    y_low, y_high = extent(j, first[unit, 1], last[unit, 1])
                     for k in range(first_layer, last_layer):
                         tile = tiles[unit, (i * 3 + j) * 3 + k]
                         if tile < 0:
                             continue
-                        z_low, z_high = extent_z(k)
+                        z_low, z_high = extent_z(k, first[unit, 2], last[unit, 2])
                         for x in range(x_low, x_high):
                             if dim == 2:
                                 place = (x + margin) * far + y_low + margin
@@ -109,6 +110,7 @@ def windows(dim: int, width: int) -> Windows:
     def to_row(place, row, n, scratch, rows):
         for m in range(n):
             store(rows, row + m, add_scaled(load(rows, row + m), 1.0, load(scratch, place + m)))
+            store(scratch, place + m, zeros())
 
     @_inline
     def from_average(place, row, n, averages, scratch):
@@ -116,36 +118,25 @@ def windows(dim: int, width: int) -> Windows:
             scratch[place + m] = averages[row + m]
 
     @_inline
-    def to_sum(place, row, n, scratch, sums):
-        for m in range(n):
-            sums[row + m] += scratch[place + m]
+    def to_sum(place, row, n, lines, sums):
+        for i in range(n):
+            m = place + reach + i
+            total = lines[m, 0] + lines[m - 1, 1]
+            sums[row + i] += total + (lines[m - 2, 2] + lines[m - 3, 3])
 
     add_sums = each_line(to_sum)
 
     @_njit
-    def clear_rows(scratch):
-        for n in range(count):
-            store(scratch, n, zeros())
+    def add_lines(unit, tiles, first, last, lines, sums):
+        """Lines ``(places + SPARE, 4)``, of which the first reach ones are empty, to the nodes."""
+        add_sums(unit, tiles, first, last, lines, sums)
+        for x in range(first[unit, 0], last[unit, 0] + 1):
+            if dim == 2:
+                for y in range(first[unit, 1], last[unit, 1] + 1):
+                    store_line(lines, x * far + y + reach, zero_line())
+                continue
+            for y in range(first[unit, 1], last[unit, 1] + 1):
+                for z in range(first[unit, 2], last[unit, 2] + 1):
+                    store_line(lines, x * far + y * near + z + reach, zero_line())
 
-    @_njit
-    def clear_lines(lines):
-        for n in range(count + SPARE):
-            store_line(lines, n, zero_line())
-
-    @_njit
-    def add_lines(unit, tiles, lines, scratch, sums):
-        """Lines ``(count + SPARE, 4)``, of which the first reach ones are empty, to the nodes."""
-        for n in range(count):
-            m = n + reach
-            total = lines[m, 0] + lines[m - 1, 1]
-            scratch[n] = total + (lines[m - 2, 2] + lines[m - 3, 3])
-        add_sums(unit, tiles, scratch, sums)
-
-    return Windows(
-        clear_rows,
-        each_line(from_row),
-        each_line(to_row),
-        clear_lines,
-        add_lines,
-        each_line(from_average),
-    )
+    return Windows(each_line(from_row), each_line(to_row), add_lines, each_line(from_average))
