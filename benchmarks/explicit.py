@@ -1,46 +1,52 @@
 # SPDX-License-Identifier: MIT
 """Speed of explicit steps: million particle-steps a second on ranks and threads, and memory.
 
-A block of neo-Hookean material, 2 points a direction in a cell, quadratic B-splines, F-bar, in a
-lattice that is little larger than it, or of several times its side. Each case is a process of its
-own, or one for each rank, bound to a core; memory is what the process takes beyond dolfinx' mesh
-and function space.
+A block of neo-Hookean material, 2 points a direction in a cell, quadratic B-splines, F-bar, in the
+middle of a lattice that is little larger than it, or of several times its side. Each case is a
+process of its own, or one for each rank, bound to a core. Memory is the most that the process takes
+in the steps that are timed beyond what it took with dolfinx' mesh and function space, compiled code
+aside. "Each step" is the time of a step where all steps are yielded, by that where a block is.
 """
 
 import argparse
+import ctypes
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 STAGES = ("P2G", "forces", "grid", "G2P", "stress and P2G", "begin", "convect")
 
 
-def measure(dim, count, room, repeats, functions):
-    """One case, on all ranks that this runs on."""
+def space(dim, n, room):
+    """Velocities on a lattice around a block of n cells a direction, with one corner at 0."""
     from mpi4py import MPI
 
     import numpy as np
-    import ufl
     from dolfinx import fem, mesh
+
+    around = (round((room - 1) * n) + 4) // 2
+    corners, shape = [np.full(dim, -around), np.full(dim, n + around)], [n + 2 * around] * dim
+    if dim == 2:
+        domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, shape, mesh.CellType.quadrilateral)
+    else:
+        domain = mesh.create_box(MPI.COMM_WORLD, corners, shape, mesh.CellType.hexahedron)
+    return fem.functionspace(domain, ("Lagrange", 1, (dim,)))
+
+
+def simulation(V, n, functions, way):
+    """A block that is sheared a little, by kernels or by forms."""
+    import numpy as np
+    import ufl
+    from dolfinx import fem
 
     from fenicsmpm import ExplicitMPM, basis, formulations, points
     from fenicsmpm.materials import NeoHookean
-    from fenicsmpm.simulation.explicit_on_lattice import STEPS_OF_A_BLOCK
 
-    comm = MPI.COMM_WORLD
-    n = round((count / 2**dim) ** (1 / dim))
-    cells = round(room * n) + 4
-    corners, shape = [np.full(dim, -2.0), np.full(dim, cells - 2.0)], [cells] * dim
-    if dim == 2:
-        domain = mesh.create_rectangle(comm, corners, shape, mesh.CellType.quadrilateral)
-    else:
-        domain = mesh.create_box(comm, corners, shape, mesh.CellType.hexahedron)
-    V = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
+    domain, dim = V.mesh, V.mesh.geometry.dim
     v, w = fem.Function(V), ufl.TestFunction(V)
-    memory = _memory()
     body = points.lattice(domain, 0.5, inside=lambda x: np.all((x > 0) & (x < n), axis=1))
     if functions != "linear":
         basis.use(body, functions)
@@ -49,41 +55,66 @@ def measure(dim, count, room, repeats, functions):
     formulations.set_initial_state(body, 1.0, lambda x: (x - n / 2) @ shear)
     law = NeoHookean(E=100.0, nu=0.3)
     R = formulations.internal_force(w, body, law, fbar=formulations.FBar())
-    sim = ExplicitMPM(R, v, body)
+    # points that may leave the mesh go by forms
+    return ExplicitMPM(R, v, body, on_exit="error" if way == "kernels" else "clamp")
 
-    def block():
-        for _ in sim.run(sim.time + STEPS_OF_A_BLOCK * sim.dt, STEPS_OF_A_BLOCK * sim.dt):
-            pass
 
-    block()
-    seconds = []
-    sim.seconds.clear()
-    for _ in range(repeats):
+def measure(dim, count, room, repeats, functions, way):
+    """One case, on all ranks that this runs on."""
+    from mpi4py import MPI
+
+    import numpy as np
+
+    steps, comm = 100 if way == "kernels" else 5, MPI.COMM_WORLD
+    n = round((count / 2**dim) ** (1 / dim))
+
+    def run(sim, singly=False):
+        """Seconds for a step, of some that are yielded together or one by one."""
         comm.barrier()
         start, number = time.perf_counter(), sim.number
-        block()
+        until, all_of_them = sim.time + (steps - 0.5) * sim.dt, steps * sim.dt
+        for _ in sim.run(until, None if singly else all_of_them):
+            pass
         comm.barrier()
-        seconds.append((time.perf_counter() - start) / (sim.number - number))
-    used = comm.allreduce(_memory() - memory)
+        return (time.perf_counter() - start) / (sim.number - number)
+
+    small = simulation(space(dim, 8, 1.0), 8, functions, way)  # compiles
+    run(small)
+    V = space(dim, n, room)
+    memory = _memory("VmRSS")
+    sim = simulation(V, n, functions, way)
+    run(sim)
+    sim.seconds.clear()
+    _memory("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # forget what was the most so far
+    blocks = [run(sim) for _ in range(repeats)]
+    used = comm.allreduce(_memory("VmHWM") - memory)
+    shares = dict(sim.seconds)
+    singly = [run(sim, singly=True) for _ in range(repeats)]
     if comm.rank == 0:
-        total = sum(sim.seconds.values())
+        total, count = sum(shares.values()), sim.bodies[0].size_global
         result = {
-            "points": body.size_global,
-            "rate": body.size_global / float(np.median(seconds)) / 1e6,
-            "bytes": used / body.size_global,
-            "shares": {name: value / total for name, value in sim.seconds.items()},
+            "points": count,
+            "rate": count / float(np.median(blocks)) / 1e6,
+            "bytes": used / count,
+            "each": float(np.median(singly) / np.median(blocks)),
+            "shares": {name: value / total for name, value in shares.items()},
         }
         print(json.dumps(result))
 
 
-def _memory():
-    """Largest memory of this process so far, in bytes."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+def _memory(name):
+    """Memory of this process in bytes: "VmRSS" at present, "VmHWM" the most so far."""
+    ctypes.CDLL(None).malloc_trim(0)
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(name):
+            return 1024 * int(line.split()[1])
+    raise RuntimeError(f"no {name} in /proc/self/status")
 
 
-def case(dim, count, room, ranks, threads, repeats, functions):
+def case(dim, count, room, ranks, threads, options):
     """Result of a case that runs by itself."""
-    arguments = [dim, int(count), room, repeats, functions]
+    arguments = [dim, int(count), room, options.repeats, options.functions, options.way]
     command = [sys.executable, __file__, "--measure", *map(str, arguments)]
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), "--bind-to", "core", *command]
@@ -101,19 +132,20 @@ def main():
     add("--dimensions", type=int, nargs="+", default=[2, 3], help="(default: %(default)s)")
     add("--rooms", type=float, nargs="+", default=[1, 5], help="lattice's side by the block's")
     add("--functions", default="quadratic", help="(default: %(default)s)")
+    add("--way", choices=["kernels", "forms"], default="kernels", help="(default: %(default)s)")
     add("--repeats", type=int, default=3, help="blocks of steps, of which the median is taken")
-    add("--measure", nargs=5, help=argparse.SUPPRESS)
+    add("--measure", nargs=6, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure:
-        dim, count, room, repeats, functions = options.measure
-        measure(int(dim), float(count), float(room), int(repeats), functions)
+        dim, count, room, repeats, *names = options.measure
+        measure(int(dim), float(count), float(room), int(repeats), *names)
         return
     import machine
 
     print(machine.describe())
     print(
         f"{'':3}{'points':>9}{'room':>6}{'ranks':>7}{'threads':>9}{'Mp steps/s':>12}"
-        f"{'bytes/point':>13}" + "".join(f"{stage:>16}" for stage in STAGES)
+        f"{'bytes/point':>13}{'each step':>11}" + "".join(f"{stage:>16}" for stage in STAGES)
     )
     for dim in options.dimensions:
         for count in options.points:
@@ -121,13 +153,11 @@ def main():
                 if room > 1 and count > (2e5 if dim == 3 else 2e6):
                     continue  # the mesh alone would take most of the memory
                 for ranks, threads in ((1, 1), (2, 1), (1, 2)):
-                    found = case(
-                        dim, count, room, ranks, threads, options.repeats, options.functions
-                    )
+                    found = case(dim, count, room, ranks, threads, options)
                     shares = "".join(f"{found['shares'].get(s, 0.0):16.1%}" for s in STAGES)
                     print(
                         f"{dim}D {found['points']:9d}{room:6g}{ranks:7d}{threads:9d}"
-                        f"{found['rate']:12.2f}{found['bytes']:13.0f}{shares}",
+                        f"{found['rate']:12.2f}{found['bytes']:13.0f}{found['each']:11.2f}{shares}",
                         flush=True,
                     )
 

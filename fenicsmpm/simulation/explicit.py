@@ -71,8 +71,6 @@ class ExplicitMPM:
 
     Attributes:
         velocity: of the nodes [m/s], at the end of the last step.
-        acceleration: of the nodes in the last step [m/s^2].
-        mass: of the nodes in the last step [kg].
         time: [s].
         number: of steps done.
         dt: length of the last step [s], before the first of that.
@@ -146,7 +144,16 @@ class ExplicitMPM:
         self.dt = dt or 1.0
         self._way: OnLattice | ByForms = way(self, updates or {})
         self.dt = self._step_length()
-        self.mass, self.acceleration = self._way.mass, self._way.acceleration
+
+    @property
+    def mass(self) -> fem.Function:
+        """Of the nodes in the last step [kg] (collective at first use)."""
+        return self._way.mass
+
+    @property
+    def acceleration(self) -> fem.Function:
+        """Of the nodes in the last step [m/s^2] (collective at first use)."""
+        return self._way.acceleration
 
     def _is_for_kernels(self) -> bool:
         """Whether fused kernels do what the residual says, but for further terms."""

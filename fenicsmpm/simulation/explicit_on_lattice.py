@@ -37,8 +37,6 @@ class OnLattice:
         updates: further fields to be renewed.
 
     Attributes:
-        mass: of the nodes in the last step [kg].
-        acceleration: of the nodes in the last step [m/s^2].
         longest: how many steps may be done before points are up to date.
         is_open: whether points are in working arrays.
     """
@@ -50,8 +48,9 @@ class OnLattice:
         self._sim, residual = sim, sim.residual
         V = sim.velocity.function_space
         self._dim = V.mesh.geometry.dim
-        self.mass = fem.Function(fem.functionspace(V.mesh, ("Lagrange", 1)), name="mass")
-        self.acceleration = fem.Function(V, name="acceleration")
+        # made when somebody asks for them: arrays over all of the lattice
+        self._functions: dict[str, fem.Function] = {}
+        self._last: dict[str, tuple[npt.NDArray[np.int32], Array]] = {}
         self._engine = LatticeEngine(
             V,
             sim.laws,
@@ -69,7 +68,6 @@ class OnLattice:
             None if rest is None else forms.form(rest)
             for rest in (residual.rest_at_bodies, residual.rest_elsewhere)
         )
-        self._nodal = la.vector(V.dofmap.index_map, self._dim)
         # forms and updates take points where they are
         is_fused = self._at_bodies is None and self._elsewhere is None and not self._updates
         self.longest = STEPS_OF_A_BLOCK if is_fused else 1
@@ -242,20 +240,49 @@ class OnLattice:
 
     def _assemble(self, form: forms.Form) -> Array:
         """Minus a part of the residual, at the nodes of this rank, ``(n, d)`` [N]."""
-        force = self._nodal
-        force.array[:] = 0.0
+        force = la.vector(self._sim.velocity.function_space.dofmap.index_map, self._dim)
         forms.assemble_vector(form, force)
         force.scatter_reverse(la.InsertMode.add)
         owned = force.index_map.size_local
         return -force.array.reshape(-1, self._dim)[:owned]
 
+    @property
+    def mass(self) -> fem.Function:
+        """Of the nodes in the last step [kg] (collective at first use)."""
+        if "mass" not in self._functions:
+            mesh = self._sim.velocity.function_space.mesh
+            self._make("mass", fem.functionspace(mesh, ("Lagrange", 1)))
+        return self._functions["mass"]
+
+    @property
+    def acceleration(self) -> fem.Function:
+        """Of the nodes in the last step [m/s^2] (collective at first use)."""
+        if "acceleration" not in self._functions:
+            self._make("acceleration", self._sim.velocity.function_space)
+        return self._functions["acceleration"]
+
+    def _make(self, name: str, space: fem.FunctionSpace) -> None:
+        """A nodal field of the last step as a function."""
+        self._functions[name] = function = fem.Function(space, name=name)
+        if name in self._last:
+            dofs, values = self._last.pop(name)
+            function.x.array.reshape(-1, values.shape[1])[dofs] = values
+            function.x.scatter_forward()
+
     def _write_nodes(self) -> None:
-        """Nodal fields at the end of a step as functions."""
+        """Nodal fields at the end of a step: as functions, where somebody has asked for them."""
         engine = self._engine
-        engine.write("mass", self.mass)
         engine.write("velocity", self._sim.velocity)
-        engine.write("increment", self.acceleration)
-        self.acceleration.x.array[:] /= self._sim.dt
+        for name, column, factor in (
+            ("mass", "mass", 1.0),
+            ("acceleration", "increment", 1 / self._sim.dt),
+        ):
+            if name in self._functions:
+                engine.write(column, self._functions[name])
+                self._functions[name].x.array[:] *= factor
+            else:
+                dofs, values = engine.collect(column)
+                self._last[name] = dofs, factor * values
 
     def _agree(self, messages: list[str], reaction: Array) -> bool:
         """Sum up over ranks what each has found in a step (collective).

@@ -377,9 +377,17 @@ class LatticeEngine:
                 there to ``average``.
             function: to be set, ghosts too; zero where there are no tiles.
         """
+        self._write(self._column(name), function)
+
+    def collect(self, name: str) -> tuple[npt.NDArray[np.int32], Array]:
+        """A nodal field as ``write`` would, ``(n, k)``, and its ``(n,)`` nodes (collective)."""
+        link = self._dof_link()
+        return self._dofs, link.collect(self._column(name)[link.places])
+
+    def _column(self, name: str) -> Array:
         column, is_vector = COLUMNS[name]
         n = self._dim if is_vector else 1
-        self._write(self.rows.reshape(-1, 8)[:, column : column + n], function)
+        return self.rows.reshape(-1, 8)[:, column : column + n]
 
     def write_average(self, body: int, function: fem.Function) -> None:
         """Averaged J of a body as a scalar function, between ``average`` and ``finish``."""

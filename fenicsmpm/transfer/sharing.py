@@ -211,8 +211,8 @@ class NodeNumbers:
 
     def owned_in(self, tiles: Integers, nodes: Nodes) -> npt.NDArray[np.int32]:
         """Owned nodes in some tiles, ascending."""
-        index = nodes.in_tiles(tiles).reshape(-1, 3)
-        index = index[np.all(index < nodes.shape, axis=1)]
+        every = nodes.in_tiles(tiles).reshape(-1, 3)
+        index = every[np.all(every < nodes.shape, axis=1)]
         vertices = self._lattice.nodes(index[:, : len(self._lattice.shape)])
         dofs = self._dof[vertices[vertices >= 0]]
         return np.unique(dofs[dofs < self._owned])

@@ -152,7 +152,11 @@ class WallsOfBody:
         if boxes is None:
             return
         name, size = points.grid_functions or ("linear", None)
-        half = np.full(len(boxes.shape), 0.5) if size is None else size / boxes.spacing
+        half = (
+            np.full(len(boxes.shape), 0.5)
+            if size is None
+            else np.asarray(size, dtype=np.float64) / boxes.spacing
+        )
         per_cell = points_in_a_cell(points, float(np.prod(boxes.spacing)))
         self._shares = [
             wall_shares(KINDS[name], int(n), h, per_cell)
@@ -181,14 +185,14 @@ class WallsOfBody:
         if self._boxes is None or len(index) == 0:
             empty = np.empty(0, np.int64)
             return WallNodes(empty, empty, np.empty(0))
-        shape = self._boxes.shape + 1
+        shape = np.asarray(self._boxes.shape + 1)
         index = index[:, : len(shape)]
         nodes, inner, shares = find_wall_nodes(index, shape, self._shares)
-        flat = np.ravel_multi_index(tuple(index.T), tuple(shape))
+        flat = np.atleast_1d(np.ravel_multi_index(tuple(index.T), tuple(shape)))
+        wanted = np.atleast_1d(np.ravel_multi_index(tuple(inner.T), tuple(shape)))
         order = np.argsort(flat)
-        wanted = np.ravel_multi_index(tuple(inner.T), tuple(shape))
-        at = np.minimum(np.searchsorted(flat, wanted, sorter=order), len(flat) - 1)
-        found = order[at]
+        places = np.searchsorted(flat, wanted, sorter=order)
+        found = order[np.minimum(places, len(order) - 1)]
         there = flat[found] == wanted
         return WallNodes(numbers[nodes[there]], numbers[found[there]], shares[there])
 
