@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Explicit steps by forms: any mesh, any UFL; exact motions, conservation, bad input."""
 
+import itertools
+
 from mpi4py import MPI
 
 import numpy as np
@@ -288,3 +290,85 @@ def test_a_load_away_from_all_bodies():
     with pytest.raises(UnstableError, match="a load is away from all bodies"):
         sim.step()
     assert (sim.time, sim.number) == (0.0, 0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("functions", ["linear", "quadratic"])
+@pytest.mark.parametrize("where", [0.65, 0.9])
+def test_a_force_over_cells_away_from_all_bodies(functions, where):
+    """By kernels, and by forms on the same lattice; near the body or far from it."""
+    partitioner = basis.shared_vertex_partitioner
+    kind = mesh.CellType.quadrilateral
+    domain = mesh.create_unit_square(COMM, 40, 40, kind, partitioner=partitioner)
+    for on_exit in ("error", "clamp"):
+        body, v, w = block(domain, half=0.1)
+        use(body, functions)
+        x = ufl.SpatialCoordinate(domain)
+        pull = ufl.conditional(ufl.gt(x[0], where), 1.0, 0.0) * w[0] * ufl.dx(degree=2)
+        R = formulations.internal_force(w, body, RUBBER) - pull
+        sim = ExplicitMPM(R, v, body, on_exit=on_exit)
+        assert ("kernels" in str(sim)) == (on_exit == "error")
+        with pytest.raises(UnstableError, match="a load is away from all bodies"):
+            sim.step()
+        assert (sim.time, sim.number) == (0.0, 0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("interval", [None, 0.02])
+def test_data_may_look_at_points(interval):
+    """What is read before each step is right, and reading changes no result."""
+    domain = MESHES["quadrilaterals"](20)
+
+    def start(x):
+        return 0.1 * np.sin(7 * x[:, ::-1])
+
+    found = []
+    for look in (False, True):
+        body, v, w = block(domain, start)
+        seen = []
+
+        def data(begin, end, body=body, seen=seen):
+            order = np.argsort(body.id)
+            seen.append((body["v"][order], body.x[order], body["u"][order]))
+
+        R = formulations.internal_force(w, body, RUBBER)
+        sim = ExplicitMPM(R, v, body, data=data if look else None, dt=1e-3)
+        for _ in sim.run(0.15, interval):
+            pass
+        order = np.argsort(body.id)
+        found.append([body[k][order] for k in ("x", "v", "F", "sigma")])
+        assert len(seen) == (150 if look else 0)
+        for (_, x, u), (_, x_next, u_next) in itertools.pairwise(seen):
+            if len(x) == len(x_next) and COMM.size == 1:
+                assert x_next - x == pytest.approx(u_next - u, abs=1e-15)
+                assert np.abs(x_next - x).max() > 1e-6
+    if COMM.size == 1:
+        for a, b in zip(*found, strict=True):
+            assert b == pytest.approx(a, rel=1e-9, abs=1e-9)
+
+
+def test_carried_points_that_are_changed_between_steps():
+    """On a lattice their places are taken anew, as by forms."""
+    results = []
+    for on_exit in ("error", "clamp"):
+        domain = mesh.create_unit_square(MPI.COMM_SELF, 20, 20, mesh.CellType.quadrilateral)
+        body = points.lattice(domain, 0.025, inside=lambda x: np.abs(x - 0.5).max(axis=1) < 0.2)
+        formulations.set_initial_state(body, 2.0)
+        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+        v, w = fem.Function(V), ufl.TestFunction(V)
+        edge = body.select(lambda x: x[:, 0] > 0.67)
+        edge["weight"] = 0.01
+        R = formulations.internal_force(w, body, RUBBER)
+        R += formulations.dead_load(w, edge, (0.0, 1.0))
+        sim = ExplicitMPM(R, v, body, carried=[edge], dt=1e-3, on_exit=on_exit)
+        for _ in range(3):
+            sim.step()
+        edge.remove(edge.x[:, 1] > 0.5)
+        sim.step()
+        edge.move(edge.x - np.array([0.1, 0.0]))
+        for _ in range(3):
+            sim.step()
+        results.append((body.x, body["v"], edge.x))
+    for a, b in zip(*results, strict=True):
+        assert a == pytest.approx(b, abs=1e-12)
+    assert results[0][2][:, 0].max() < 0.6

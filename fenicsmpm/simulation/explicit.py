@@ -61,7 +61,7 @@ class ExplicitMPM:
         updates: for each point set, more fields to be renewed at the end of a step: UFL over its
             points with the velocity at the end of the step, or functions that return new arrays.
         data: called with the times at the beginning and end of each step, to set loads and
-            boundary values of its beginning.
+            boundary values of its beginning. Points are as they are then.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
         dt: time step [s]; None for the share ``cfl`` of what is stable, found again at times.
         cfl: time step times wave speed per cell size.
@@ -74,7 +74,7 @@ class ExplicitMPM:
         time: [s].
         number: of steps done.
         dt: length of the last step [s], before the first of that.
-        bodies: material points.
+        bodies: material points. Whoever changes their mass or V_0 calls ``settle`` first.
         carried: points that move along.
         laws: law at the points of each body that has one; may be replaced by one of the same kind
             with other parameters.
@@ -138,7 +138,7 @@ class ExplicitMPM:
         self.reaction = np.zeros(V.mesh.geometry.dim)
         self.seconds = Stopwatch()
         self._cfl, self._given_dt, self._warned = cfl, dt, False
-        self._longest_dt = math.inf
+        self._longest_dt = self._stable = math.inf
         self._h = _smallest_height(V.mesh)
         way = OnLattice if self._is_for_kernels() else ByForms
         self.dt = dt or 1.0
@@ -174,7 +174,7 @@ class ExplicitMPM:
         """Do one step (collective).
 
         Raises:
-            UnstableError: a point is inverted, not finite or outside; all are as before.
+            UnstableError: as ``run`` does.
         """
         removed = self._advance(1, self._step_length(), may_stay=True)
         return Step(self.number, self.time, self.dt, removed=removed)
@@ -192,7 +192,8 @@ class ExplicitMPM:
 
         Raises:
             UnstableError: a point is inverted, not finite or outside; all points are as they were
-                when somebody looked at them last, or up to 100 steps before, which is at ``time``.
+                when somebody looked at them last, or up to 100 steps before, which is at ``time``;
+                nodal fields are not.
             ValueError: for an end that is not finite or an interval that is not positive.
         """
         if not math.isfinite(until) or not (interval is None or interval > 0):
@@ -206,7 +207,8 @@ class ExplicitMPM:
                 left = stop - self.time
                 steps = max(1, math.ceil(left / self._step_length() - 1e-9))
                 count = min(steps, 1 if interval is None else self._way.longest)
-                removed += self._advance(count, left / steps, may_stay=interval is None)
+                may_stay = interval is None or count < steps
+                removed += self._advance(count, left / steps, may_stay)
                 if interval is None:
                     break
             else:
@@ -280,6 +282,7 @@ class ExplicitMPM:
                 "no law at points says how fast waves are in a body: give the time step dt"
             )
         stable = self.stable_step()
+        self._stable = stable
         dt = self._cfl * stable if self._given_dt is None else self._given_dt
         if dt > stable and not self._warned:
             self._warned = True
@@ -297,7 +300,7 @@ class ExplicitMPM:
         if messages:
             raise UnstableError(
                 f"step {self.number + 1}, t = {self.time + self.dt:g} s, dt = {self.dt:g} s: "
-                f"{messages[0]}; the stable step is about {self.stable_step():g} s{self._hint()}"
+                f"{messages[0]}; the stable step is about {self._stable:g} s{self._hint()}"
             )
 
     def _hint(self) -> str:
@@ -308,7 +311,7 @@ class ExplicitMPM:
             for box in self.rigid
             if np.any(box.force)
         ]
-        if self.dt > self.stable_step():
+        if self.dt > self._stable:
             hints.append("the step is longer than that: take smaller ones")
         elif not hints:
             hints.append(

@@ -29,6 +29,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import move
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.simulation.explicit_checks import functions_of
+from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.contact import keep_points_out, push_points
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS, LightNodes
@@ -348,10 +349,7 @@ class ByForms:
         if not len(nodes):
             return []
         where = self._V.tabulate_dof_coordinates()[nodes[0], : self._dim]
-        return [
-            f"a force without material at the node {np.array2string(where, precision=6)}: a load "
-            "is away from all bodies"
-        ]
+        return [force_without_material(where)]
 
     def _convect(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> int:
         """Give points their new fields, and move them."""

@@ -37,7 +37,6 @@ class OnLattice:
         updates: further fields to be renewed.
 
     Attributes:
-        longest: how many steps may be done before points are up to date.
         is_open: whether points are in working arrays.
     """
 
@@ -69,10 +68,17 @@ class OnLattice:
             for rest in (residual.rest_at_bodies, residual.rest_elsewhere)
         )
         # forms and updates take points where they are
-        is_fused = self._at_bodies is None and self._elsewhere is None and not self._updates
-        self.longest = STEPS_OF_A_BLOCK if is_fused else 1
+        self._may_stay = self._at_bodies is None and self._elsewhere is None and not self._updates
         self._unsorted, self._count, self.is_open = 0, 0, False
         self._before: list[Any] = []
+
+    @property
+    def longest(self) -> int:
+        """How many steps may be done at once."""
+        # what gives data may look at points
+        if not self._may_stay or self._sim.data is not None:
+            return 1
+        return STEPS_OF_A_BLOCK - (self._count if self.is_open else 0)
 
     def advance(self, steps: int, may_stay: bool) -> int:
         """Do steps; if one fails, all points are as they were at the beginning of the block.
@@ -87,7 +93,9 @@ class OnLattice:
             How many points left the mesh.
         """
         sim, clock = self._sim, self._sim.seconds
-        stays = may_stay and self.longest > 1
+        stays = may_stay and self._may_stay
+        if sim.data is not None:
+            sim.data(sim.time, sim.time + sim.dt)
         if self.is_open and self._has_changed():
             self.settle()
         if not self.is_open:
@@ -190,8 +198,6 @@ class OnLattice:
 
     def _step(self, again: bool, keep: bool) -> None:
         sim, engine, dt, clock = self._sim, self._engine, self._sim.dt, self._sim.seconds
-        if sim.data is not None:
-            sim.data(sim.time, sim.time + dt)
         if sim.data is not None or keep:
             engine.read_supports()
         velocities = [box.velocity_at(sim.time) for box in sim.rigid]

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -39,6 +41,12 @@ class Carried:
         """Take the present positions."""
         self._order = plain_order(len(self.points))
         self._x = in_blocks(self.points.x, self._order)
+        self._version = self.points.version
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether somebody has changed the set of points."""
+        return self.points.version != self._version
 
     def find(self, nodes: Nodes) -> tuple[Integers, Integers]:
         """First and last nodes ``(n, 3)`` that points may see until tiles are laid anew."""
@@ -86,11 +94,17 @@ class Carried:
         )
 
     def settle(self) -> None:
-        """Bring cells and displacements up to date (collective)."""
+        """Bring cells and displacements up to date (collective).
+
+        What somebody has changed since stays.
+        """
         points = self.points
+        if points.mesh.comm.allreduce(self.is_changed, MPI.LOR):
+            return
         x = self.positions
         points.assign({"u": points["u"] + (x - points.x)})
         points.move(x)
+        self._version = points.version
 
 
 def flat(tiles: Array) -> Array:

@@ -23,6 +23,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.simulation.lattice_carried import Carried
 from fenicsmpm.simulation.lattice_parts import Part
 from fenicsmpm.simulation.rigid_box import RigidBox
+from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS
@@ -145,8 +146,9 @@ class LatticeEngine:
 
     @property
     def is_looked_at(self) -> bool:
-        """Whether somebody has looked at what was deferred, on this rank."""
-        return any(part.is_looked_at for part in self.parts)
+        """Whether somebody has looked at what was deferred, or changed points, on this rank."""
+        changed = any(load.is_changed for load in self.carried)
+        return changed or any(part.is_looked_at for part in self.parts)
 
     def drop(self) -> None:
         """Forget a block of steps; the points stay as they are."""
@@ -250,8 +252,25 @@ class LatticeEngine:
             flat = self._forces.reshape(-1, 3)
             flat[link.places, : self._dim] += link.spread(at_nodes[self._dofs])
         self._relieve(self._forces, 0, of_loads=True)
+        if at_nodes is not None:
+            messages += self._without_material(at_nodes)
         self.rows[:, :, grid.FORCE :] += self._forces
         return messages
+
+    def _without_material(self, at_nodes: Array) -> list[str]:
+        """What is wrong with forces ``(n, d)`` at owned nodes, and with those in tiles."""
+        outside = (at_nodes != 0).any(axis=1)
+        outside[self._dofs] = False
+        idle = (self.rows[:, :, grid.MASS] == 0) & (self._forces != 0).any(axis=2)
+        if not outside.any() and not idle.any():
+            return []
+        if outside.any():
+            where = self._numbers.positions(np.flatnonzero(outside)[:1])[0]
+        else:
+            tile, node = np.argwhere(idle)[0]
+            index = self.nodes.in_tiles(self._layout.ids[tile : tile + 1])[0, node]
+            where = self.nodes.origin + index / self.nodes.per_metre
+        return [force_without_material(where[: self._dim])]
 
     def add_forces(self, forces: Array) -> None:
         """Add forces of points of bodies that are known at dolfinx' nodes (collective).
