@@ -2,7 +2,7 @@
 #
 # # Cook's membrane, explicit
 #
-# The nearly incompressible panel of `cooks_membrane.py` again, now by explicit steps on a lattice,
+# The nearly incompressible panel of `cooks_membrane.py` again, now by explicit steps,
 # until it has come to rest. Without a remedy the points' volumes lock: the panel is too stiff and
 # its mean stress a checkerboard. The demo shows how
 #

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -49,7 +49,7 @@ class OnLattice:
         self._dim = V.mesh.geometry.dim
         # made when somebody asks for them: arrays over all of the lattice
         self._functions: dict[str, fem.Function] = {}
-        self._last: dict[str, tuple[npt.NDArray[np.int32], Array]] = {}
+        self._last: dict[str, tuple[Callable[[fem.Function], None], float]] = {}
         self._engine = LatticeEngine(
             V,
             sim.laws,
@@ -271,9 +271,9 @@ class OnLattice:
         """A nodal field of the last step as a function."""
         self._functions[name] = function = fem.Function(space, name=name)
         if name in self._last:
-            dofs, values = self._last.pop(name)
-            function.x.array.reshape(-1, values.shape[1])[dofs] = values
-            function.x.scatter_forward()
+            write, factor = self._last.pop(name)
+            write(function)
+            function.x.array[:] *= factor
 
     def _write_nodes(self) -> None:
         """Nodal fields at the end of a step: as functions, where somebody has asked for them."""
@@ -287,8 +287,7 @@ class OnLattice:
                 engine.write(column, self._functions[name])
                 self._functions[name].x.array[:] *= factor
             else:
-                dofs, values = engine.collect(column)
-                self._last[name] = dofs, factor * values
+                self._last[name] = engine.keep(column), factor
 
     def _agree(self, messages: list[str], reaction: Array) -> bool:
         """Sum up over ranks what each has found in a step (collective).

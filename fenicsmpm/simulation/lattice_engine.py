@@ -9,7 +9,7 @@ right sums in all of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -398,10 +398,16 @@ class LatticeEngine:
         """
         self._write(self._column(name), function)
 
-    def collect(self, name: str) -> tuple[npt.NDArray[np.int32], Array]:
-        """A nodal field as ``write`` would, ``(n, k)``, and its ``(n,)`` nodes (collective)."""
-        link = self._dof_link()
-        return self._dofs, link.collect(self._column(name)[link.places])
+    def keep(self, name: str) -> Callable[[fem.Function], None]:
+        """What writes a nodal field as it is now to a function that is zero (collective, both)."""
+        link, dofs, values = self._dof_link(), self._dofs, self._column(name).copy()
+
+        def write(function: fem.Function) -> None:
+            nodal = function.x.array.reshape(-1, values.shape[1])
+            nodal[dofs] = link.collect(values[link.places])
+            function.x.scatter_forward()
+
+        return write
 
     def _column(self, name: str) -> Array:
         column, is_vector = COLUMNS[name]

@@ -338,6 +338,8 @@ class Part:
 
     def bad_stress(self) -> int:
         """A block with a stress that is not finite after the last step; or -1."""
+        if np.isfinite(self._sigma.sum()):
+            return -1
         bad = np.flatnonzero(~np.isfinite(self._sigma).all(axis=1))
         return int(bad[0] // 9) if len(bad) else -1
 

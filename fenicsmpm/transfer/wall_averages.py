@@ -9,8 +9,8 @@ average is continued linearly from the next node's to the node,
     J_i <- J_i + c (J_i - J_i+1),    c = (x_i - X_i) / (X_i - X_i+1)
 
 with centroids X of the functions, by as many points in each cell as the body has. Linear fields are
-then averaged exactly in bodies that fill the cells at a wall. In others, the change is at most the
-difference of two averages.
+then averaged exactly in bodies that fill the cells at a wall, as long as J differs by less than 10
+percent from cell to cell.
 """
 
 # mypy: disallow_untyped_defs=False
