@@ -19,7 +19,6 @@ class Window(NamedTuple):
     Attributes:
         side: nodes of a tile in each direction.
         margin: nodes before a tile's first one.
-        size: nodes in each direction.
         far: distance in memory of nodes next to each other in the first direction.
         near: the same in the second direction.
         places: in memory, of which some are not used.
@@ -27,7 +26,6 @@ class Window(NamedTuple):
 
     side: int
     margin: int
-    size: int
     far: int
     near: int
     places: int
@@ -41,4 +39,4 @@ def window(dim: int, width: int) -> Window:
     near = size if dim == 3 else 1
     far = size * near
     far += 1 - far % 2
-    return Window(side, margin, size, far, near, size * far)
+    return Window(side, margin, far, near, size * far)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numba
 import numpy as np
@@ -271,13 +273,15 @@ class Part:
         """
         self._sigma = np.empty((0, LANES))  # of the step before
         self._all_sums[:] = 0.0
-        if self.maps_back:
-            bad, strays = self._kernels.move(
-                self._units, self._nodes, self._half, self._working, flat(rows), dt, flip
-            )
-            return int(bad), bool(strays)
+        return self._pass(
+            self._kernels.move if self.maps_back else self._kernels.gather, rows, dt, flip
+        )
+
+    def _pass(
+        self, kernel: Callable[..., Any], rows: Array, dt: float, flip: float
+    ) -> tuple[int, bool]:
         r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
-        bad, strays = self._kernels.gather(
+        bad, strays = kernel(
             self._units, self._nodes, self._half, self._working, flat(rows), dt, flip,
             self._fbar is not None, r, s, self._all_sums.ravel(),
         )  # fmt: skip
@@ -296,12 +300,7 @@ class Part:
         Returns:
             A block with a point that is inverted, or -1.
         """
-        r, s = (self._fbar.r, self._fbar.s) if self._fbar else (0.0, 0.0)
-        bad = self._kernels.deform(
-            self._units, self._nodes, self._half, self._working, flat(rows), dt,
-            self._fbar is not None, r, s, self._all_sums.ravel(),
-        )  # fmt: skip
-        return int(bad)
+        return self._pass(self._kernels.deform, rows, dt, 1.0)[0]
 
     def average(self) -> None:
         """Average J at the nodes, and clear the rows for the next step (collective)."""

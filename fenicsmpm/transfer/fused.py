@@ -76,10 +76,11 @@ class Kernels(NamedTuple):
     scatter: Callable[..., None]
     gather: Callable[..., Any]
     finish: Callable[..., None]
-    # for linear functions, instead of ``gather``
+    # for linear functions, instead of ``gather``: points are moved, their velocities mapped back,
+    # and by these they are deformed
     move: Callable[..., Any]
     momenta: Callable[..., None]
-    deform: Callable[..., int]
+    deform: Callable[..., Any]
 
 
 @functools.cache
@@ -349,82 +350,54 @@ def transfers(
                             add_line(averages, place, share_b, weights)
         return between(dJ * J_old, _TINY, _HUGE)
 
-    @_njit
-    def gather(chunk, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found):
-        """Velocity, next position and F of points; J goes back to the nodes to be averaged.
+    def from_nodes_to_points(moves, deforms):
+        """Compile a pass over the points: velocity and next position, F, or both.
 
-        Found are a block with a point that is inverted, not finite or outside of the lattice, or
-        -1; and whether a point has left its window.
+        J goes back to the nodes with F, to be averaged. Found are a block with a point that is
+        inverted, not finite or outside of the lattice, or -1; and whether a point has left its
+        window.
         """
-        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
-        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
-        lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
-        scratch = scratch_rows(count, LANES)
-        averages = scratch_rows(count + SPARE, LINE_LANES)
-        found[0], stay = -1, True
-        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
-            lower = units.lower[unit]
-            for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fetch(body, block + _AHEAD)
-                fill(body.x, block, nodes, half, lower, corner, base, w, d)
-                for i in range(LANES):
-                    from_nodes(i, base, w, d, scratch, lines)
-                good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
-                good &= deform(
-                    body, block, base, w, lines, f, shares, last_w, averages, dt, average, r, s
-                )
-                stay &= stays
-                if not good:
-                    found[0] = block
-            if average:
-                copies.add_lines(unit, units.target, units.first, units.last, averages, sums)
-        found[1] = 0 if stay else 1
 
-    # Linear functions: points are moved, their velocities mapped back, and then deformed
+        @_njit
+        def loop(chunk, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found):
+            corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
+            w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
+            f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
+            lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
+            scratch = scratch_rows(count, LANES)
+            averages = scratch_rows(count + SPARE, LINE_LANES)
+            found[0], stay = -1, True
+            for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+                copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
+                lower = units.lower[unit]
+                for block in range(units.blocks[unit], units.blocks[unit + 1]):
+                    fetch(body, block + _AHEAD)
+                    fill(body.x, block, nodes, half, lower, corner, base, w, d)
+                    for i in range(LANES):
+                        from_nodes(i, base, w, d, scratch, lines)
+                    good, stays = True, True
+                    if moves:
+                        good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
+                    if deforms:
+                        good &= deform(
+                            body, block, base, w, lines, f, shares, last_w, averages, dt, average,
+                            r, s,
+                        )  # fmt: skip
+                    stay &= stays
+                    if not good:
+                        found[0] = block
+                if deforms and average:
+                    copies.add_lines(unit, units.target, units.first, units.last, averages, sums)
+            found[1] = 0 if stay else 1
 
-    @_njit
-    def move_only(chunk, units, nodes, half, body, rows, dt, flip, found):
-        """As ``gather``, without F."""
-        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
-        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        lines, scratch = scratch_rows(_ALL, LINE_LANES), scratch_rows(count, LANES)
-        found[0], stay = -1, True
-        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
-            for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fill(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
-                for i in range(LANES):
-                    from_nodes(i, base, w, d, scratch, lines)
-                good, stays = move(body, block, unit, units, nodes, lines, dt, flip)
-                stay &= stays
-                if not good:
-                    found[0] = block
-        found[1] = 0 if stay else 1
+        @_parallel
+        def in_all_units(units, nodes, half, body, rows, dt, flip, average, r, s, sums):
+            found = np.empty((len(units.chunks) - 1, 2), dtype=np.int64)
+            for t in numba.prange(len(units.chunks) - 1):
+                loop(t, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found[t])
+            return found[:, 0].max(), found[:, 1].max() > 0
 
-    @_njit
-    def deform_only(chunk, units, nodes, half, body, rows, dt, average, r, s, sums, found):
-        """The rest of ``gather``, by velocities that were mapped back."""
-        corner, base = scratch_rows(3, LANES), np.empty(LANES, np.int64)
-        w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
-        f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
-        lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
-        scratch = scratch_rows(count, LANES)
-        averages = scratch_rows(count + SPARE, LINE_LANES)
-        found[0] = -1
-        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            copies.load_rows(unit, units.source, units.first, units.last, rows, scratch)
-            for block in range(units.blocks[unit], units.blocks[unit + 1]):
-                fill(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
-                for i in range(LANES):
-                    from_nodes(i, base, w, d, scratch, lines)
-                if not deform(
-                    body, block, base, w, lines, f, shares, last_w, averages, dt, average, r, s
-                ):
-                    found[0] = block
-            if average:
-                copies.add_lines(unit, units.target, units.first, units.last, averages, sums)
+        return in_all_units
 
     @_njit
     def momenta(chunk, units, nodes, half, body, rows):
@@ -540,36 +513,20 @@ def transfers(
             scatter(t, units, nodes, half, body, sigma, rows)
 
     @_parallel
-    def gather_all(units, nodes, half, body, rows, dt, flip, average, r, s, sums):
-        found = np.empty((len(units.chunks) - 1, 2), dtype=np.int64)
-        for t in numba.prange(len(units.chunks) - 1):
-            gather(
-                t, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found[t]
-            )  # fmt: skip
-        return found[:, 0].max(), found[:, 1].max() > 0
-
-    @_parallel
     def finish_all(units, nodes, half, body, average, averages, again, sigma, rows):
         for t in numba.prange(len(units.chunks) - 1):
             finish(t, units, nodes, half, body, average, averages, again, sigma, rows)
-
-    @_parallel
-    def move_all(units, nodes, half, body, rows, dt, flip):
-        found = np.empty((len(units.chunks) - 1, 2), dtype=np.int64)
-        for t in numba.prange(len(units.chunks) - 1):
-            move_only(t, units, nodes, half, body, rows, dt, flip, found[t])
-        return found[:, 0].max(), found[:, 1].max() > 0
 
     @_parallel
     def momenta_all(units, nodes, half, body, rows):
         for t in numba.prange(len(units.chunks) - 1):
             momenta(t, units, nodes, half, body, rows)
 
-    @_parallel
-    def deform_all(units, nodes, half, body, rows, dt, average, r, s, sums):
-        found = np.empty((len(units.chunks) - 1, 1), dtype=np.int64)
-        for t in numba.prange(len(units.chunks) - 1):
-            deform_only(t, units, nodes, half, body, rows, dt, average, r, s, sums, found[t])
-        return found.max()
-
-    return Kernels(scatter_all, gather_all, finish_all, move_all, momenta_all, deform_all)
+    return Kernels(
+        scatter_all,
+        from_nodes_to_points(moves=True, deforms=True),
+        finish_all,
+        from_nodes_to_points(moves=True, deforms=False),
+        momenta_all,
+        from_nodes_to_points(moves=False, deforms=True),
+    )

@@ -25,11 +25,11 @@ VELOCITY, INCREMENT = MOMENTUM, FORCE
 _NOTHING = 1e-290
 
 
-def tile_rows(tiles: int, per_tile: int, lanes: int = LANES) -> np.ndarray:
-    """Zeros ``(tiles, per_tile, lanes)``, each row within a cache line."""
-    rows = empty_rows(tiles * per_tile, lanes)
+def tile_rows(tiles: int, per_tile: int) -> np.ndarray:
+    """Zeros ``(tiles, per_tile, 8)``, each row within a cache line."""
+    rows = empty_rows(tiles * per_tile, LANES)
     rows[:] = 0.0
-    return rows.reshape(tiles, per_tile, lanes)
+    return rows.reshape(tiles, per_tile, LANES)
 
 
 @njit

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm._njit import njit
-from fenicsmpm.basis.lattice_stencil import KINDS
+from fenicsmpm.basis.lattice_stencil import KINDS, half_size_in_cells
 from fenicsmpm.basis.lines import WIDTH, tabulate_line
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.location import locator
@@ -151,12 +151,11 @@ class WallsOfBody:
         self._shares: list[Array] = []
         if boxes is None:
             return
-        name, size = points.grid_functions or ("linear", None)
-        half = (
-            np.full(len(boxes.shape), 0.5)
-            if size is None
-            else np.asarray(size, dtype=np.float64) / boxes.spacing
-        )
+        chosen = points.grid_functions
+        name = "linear" if chosen is None else chosen[0]
+        half: Array = np.full(len(boxes.shape), 0.5)
+        if chosen is not None:
+            half = half_size_in_cells(points.mesh, *chosen)
         per_cell = points_in_a_cell(points, float(np.prod(boxes.spacing)))
         self._shares = [
             wall_shares(KINDS[name], int(n), h, per_cell)

@@ -53,20 +53,16 @@ def windows(dim: int, width: int) -> Windows:
     """Compile copies between tiles and windows, for functions of some nodes a direction."""
     shape = window(dim, width)
     side, margin, far, near = shape.side, shape.margin, shape.far, shape.near
-    reach = LINE_LANES - 1
+    before = LINE_LANES - 1
     layers = range(3) if dim == 3 else range(1, 2)
     first_layer, last_layer = layers[0], layers[-1] + 1
     side_z, margin_z = (side, margin) if dim == 3 else (1, 0)
     per_tile = side * side * side_z
 
     @_inline
-    def extent(i, first, last):
-        """Which nodes of the i-th of three tiles, counted from the middle one, are wanted."""
-        return max((i - 1) * side, first - margin), min(i * side, last + 1 - margin)
-
-    @_inline
-    def extent_z(i, first, last):
-        return max((i - 1) * side_z, first - margin_z), min(i * side_z, last + 1 - margin_z)
+    def extent(i, n, rim, first, last):
+        """Which nodes of the i-th of three tiles of n, from the middle one on, are wanted."""
+        return max((i - 1) * n, first - rim), min(i * n, last + 1 - rim)
 
     def each_line(body: Any) -> Any:
         """Compile a loop over what windows and tiles have in common, line by line.
@@ -79,14 +75,14 @@ def windows(dim: int, width: int) -> Windows:
         @_njit
         def loop(unit, tiles, first, last, a, b):
             for i in range(3):
-                x_low, x_high = extent(i, first[unit, 0], last[unit, 0])
+                x_low, x_high = extent(i, side, margin, first[unit, 0], last[unit, 0])
                 for j in range(3):
-                    y_low, y_high = extent(j, first[unit, 1], last[unit, 1])
+                    y_low, y_high = extent(j, side, margin, first[unit, 1], last[unit, 1])
                     for k in range(first_layer, last_layer):
                         tile = tiles[unit, (i * 3 + j) * 3 + k]
                         if tile < 0:
                             continue
-                        z_low, z_high = extent_z(k, first[unit, 2], last[unit, 2])
+                        z_low, z_high = extent(k, side_z, margin_z, first[unit, 2], last[unit, 2])
                         for x in range(x_low, x_high):
                             if dim == 2:
                                 place = (x + margin) * far + y_low + margin
@@ -120,7 +116,7 @@ def windows(dim: int, width: int) -> Windows:
     @_inline
     def to_sum(place, row, n, lines, sums):
         for i in range(n):
-            m = place + reach + i
+            m = place + before + i
             total = lines[m, 0] + lines[m - 1, 1]
             sums[row + i] += total + (lines[m - 2, 2] + lines[m - 3, 3])
 
@@ -128,15 +124,15 @@ def windows(dim: int, width: int) -> Windows:
 
     @_njit
     def add_lines(unit, tiles, first, last, lines, sums):
-        """Lines ``(places + SPARE, 4)``, of which the first reach ones are empty, to the nodes."""
+        """Lines ``(places + SPARE, 4)``, of which the first three are empty, to the nodes."""
         add_sums(unit, tiles, first, last, lines, sums)
         for x in range(first[unit, 0], last[unit, 0] + 1):
             if dim == 2:
                 for y in range(first[unit, 1], last[unit, 1] + 1):
-                    store_line(lines, x * far + y + reach, zero_line())
+                    store_line(lines, x * far + y + before, zero_line())
                 continue
             for y in range(first[unit, 1], last[unit, 1] + 1):
                 for z in range(first[unit, 2], last[unit, 2] + 1):
-                    store_line(lines, x * far + y * near + z + reach, zero_line())
+                    store_line(lines, x * far + y * near + z + before, zero_line())
 
     return Windows(each_line(from_row), each_line(to_row), add_lines, each_line(from_average))
