@@ -2,9 +2,9 @@
 """Averages over the grid at the walls of a lattice.
 
 A node's average of something is its value at the centroid of what the node's function weighs. Away
-from walls this is the node. At a wall, where functions end, it is the share c of the way to the
-next centroid off it, and what is averaged again in each step would lose its slope there. So the
-average is continued linearly from the next node's to the node,
+from walls this is the node. At a wall, where functions end, it lies inside of the node, and what is
+averaged again in each step would lose its slope. So the average is continued to the node along the
+line through it and the next one,
 
     J_i <- J_i + c (J_i - J_i+1),    c = (x_i - X_i) / (X_i - X_i+1)
 
