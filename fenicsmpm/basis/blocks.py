@@ -39,7 +39,7 @@ from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 # Calls in the loops over points would cost more than what they do. What is inlined need not be kept
 # on disk for itself: it is a part of the loops.
-_inline = numba.njit(forceinline=True, **OPTIONS)
+_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 
 @njit

@@ -16,6 +16,7 @@ from fenicsmpm.lanes.rows import (
     INTEGERS,
     LANES,
     LINE,
+    LINE_LANES,
     ROW,
     SHORT_VECTOR,
     VECTOR,
@@ -95,6 +96,19 @@ def number_at(_typing, numbers, i):
 
 
 @intrinsic
+def line_of(_typing, a, b, c, d):
+    """The line of four numbers."""
+
+    def generate(_context, builder, _signature, numbers):
+        line = ir.Constant(SHORT_VECTOR, ir.Undefined)
+        for i, number in enumerate(numbers):
+            line = builder.insert_element(line, number, ir.Constant(INT32, i))
+        return line
+
+    return LINE(*[types.float64] * LINE_LANES), generate
+
+
+@intrinsic
 def line_at(_typing, numbers, i):
     """The four numbers of a C-contiguous array from element i on, counted through."""
 
@@ -105,35 +119,61 @@ def line_at(_typing, numbers, i):
     return LINE(numbers, types.intp), generate
 
 
+# Of two rows: their first numbers of each pair by turns, and their second ones
+_EVEN, _ODD = (0, 8, 2, 10, 4, 12, 6, 14), (1, 9, 3, 11, 5, 13, 7, 15)
+# Of two rows, in each half: its first two numbers of both, and its last two of both
+_FIRST, _LAST = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
+
+
+def _shuffle(builder, a, b, places):
+    mask = ir.Constant(ir.VectorType(INT32, len(places)), [ir.Constant(INT32, i) for i in places])
+    return builder.shuffle_vector(a, b, mask)
+
+
+def _transpose(builder, rows):
+    """Of four rows: the 4 x 4 matrices of their first and of their last halves transposed."""
+    a, b, c, d = rows
+    even, odd = _shuffle(builder, a, b, _EVEN), _shuffle(builder, a, b, _ODD)
+    even_2, odd_2 = _shuffle(builder, c, d, _EVEN), _shuffle(builder, c, d, _ODD)
+    pairs = (even, even_2), (odd, odd_2)
+    return [_shuffle(builder, *pair, places) for places in (_FIRST, _LAST) for pair in pairs]
+
+
+def _line_addresses(context, builder, array_type, array, first):
+    for i in range(LANES):
+        line = builder.add(first, ir.Constant(INT64, i))
+        yield row_address(context, builder, array_type, array, line, SHORT_VECTOR)
+
+
 @intrinsic
-def load_column(_typing, numbers, first, step):
-    """Row of the elements ``first + i * step`` of a C-contiguous array, counted through."""
+def load_columns(_typing, lines, first):
+    """The four columns, as rows, of the eight lines from the first on, in ``(n, 4)``."""
 
     def generate(context, builder, signature, arguments):
-        array, index, step = arguments
-        row = ir.Constant(VECTOR, ir.Undefined)
-        for i in range(LANES):
-            number = builder.load(_address(context, builder, signature.args[0], array, index))
-            row = builder.insert_element(row, number, ir.Constant(INT32, i))
-            index = builder.add(index, step)
-        return row
+        addresses = _line_addresses(context, builder, signature.args[0], *arguments)
+        loaded = [builder.load(address, align=8) for address in addresses]
+        halves = [_shuffle(builder, loaded[i], loaded[i + 4], range(8)) for i in range(4)]
+        columns = _transpose(builder, halves)
+        return context.make_tuple(builder, signature.return_type, columns)
 
-    return ROW(numbers, types.intp, types.intp), generate
+    return types.UniTuple(ROW, LINE_LANES)(lines, types.intp), generate
 
 
 @intrinsic
-def store_column(_typing, numbers, first, step, row):
-    """Overwrite the elements ``first + i * step`` of a C-contiguous array, counted through."""
+def store_columns(_typing, lines, first, a, b, c, d):
+    """Overwrite the eight lines from the first on, in ``(n, 4)``, with four rows as columns."""
 
     def generate(context, builder, signature, arguments):
-        array, index, step, row = arguments
-        for i in range(LANES):
-            number = builder.extract_element(row, ir.Constant(INT32, i))
-            builder.store(number, _address(context, builder, signature.args[0], array, index))
-            index = builder.add(index, step)
+        array, first, *columns = arguments
+        addresses = _line_addresses(context, builder, signature.args[0], array, first)
+        halves = _transpose(builder, columns)
+        for places in (range(4), range(4, 8)):
+            for half in halves:
+                line = _shuffle(builder, half, half, places)
+                builder.store(line, next(addresses), align=8)
         return context.get_dummy_value()
 
-    return types.void(numbers, types.intp, types.intp, ROW), generate
+    return types.void(lines, types.intp, ROW, ROW, ROW, ROW), generate
 
 
 @intrinsic

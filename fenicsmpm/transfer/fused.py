@@ -41,32 +41,31 @@ from fenicsmpm.lanes import (
     choose,
     line_at,
     load,
-    load_column,
+    load_columns,
     load_line,
     number_at,
     prefetch,
     scaled,
     store,
-    store_column,
+    store_columns,
     store_line,
     zero_line,
     zeros,
 )
 from fenicsmpm.materials.tensors import cube_root
-from fenicsmpm.transfer.grid_rows import FORCE, INCREMENT, MASS, MOMENTUM, VELOCITY, VOLUME
 from fenicsmpm.transfer.stresses import stresses
 from fenicsmpm.transfer.windows import SPARE, scratch_rows, windows
 
 _njit = numba.njit(**OPTIONS)
-_inline = numba.njit(forceinline=True, **OPTIONS)
+_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 _parallel = njit(parallel=True)
 
 # Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)
 _AHEAD = 8
 
-# First lines of four of a block's points: rows of values, and then slopes in each direction, of
-# which the half is kept that has any: velocities, or forces
-_X, _Y, _Z, _ALL = 2 * LANES, 3 * LANES, 4 * LANES, 5 * LANES
+# First lines of a block's points: both halves of what rows of the grid have, and slopes in each
+# direction of the half that has any: velocities, or forces
+_LOW, _HIGH, _X, _Y, _Z, _ALL = (k * LANES for k in range(6))
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
 
 
@@ -102,6 +101,8 @@ def transfers(
     depth = width if dim == 3 else 1
     copies, shape = windows(dim, width), window(dim, width)
     far, near, count = shape.far, shape.near, shape.places
+    # the first columns of velocities and their increments in windows
+    v_first, i_first = (0, 2) if dim == 2 else (1, 1)
     set_stress = stresses(update, update_eight, n_state, rates)
 
     @_inline
@@ -148,15 +149,15 @@ def transfers(
         Mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10); stresses s (3, 3) from
         row ``first`` on. Each line is in memory before it is loaded: faster than in registers.
         """
-        m = load(body.mass, block)
-        store_column(lines, MASS, LANES, m)
-        store_column(lines, VOLUME, LANES, V)
+        m, nothing = load(body.mass, block), zeros()
+        x, y = m * load(body.v, block * dim), m * load(body.v, block * dim + 1)
+        z = m * load(body.v, block * dim + 2) if dim == 3 else nothing
+        store_columns(lines, _LOW, m, x, y, z)
+        store_columns(lines, _HIGH, V, nothing, nothing, nothing)
         for k in range(dim):
-            store_column(lines, MOMENTUM + k, LANES, m * load(body.v, block * dim + k))
-            for j in range(dim):
-                force = -V * load(s, first + 3 * j + k)
-                place = (_X + k * LANES) * LINE_LANES + FORCE % LINE_LANES + j
-                store_column(lines, place, LINE_LANES, force)
+            x, y = -V * load(s, first + k), -V * load(s, first + 3 + k)
+            z = -V * load(s, first + 6 + k) if dim == 3 else nothing
+            store_columns(lines, _X + k * LANES, nothing, x, y, z)
 
     @_inline
     def add_line(lines, node, factor, line):
@@ -165,9 +166,9 @@ def transfers(
     @_inline
     def add_to_nodes(i, base, w, d, lines, rows):
         """Add the i-th point of a block to its nodes, each half of a row as what it needs."""
-        low, high = load_line(lines, 2 * i), load_line(lines, 2 * i + 1)
+        low, high = load_line(lines, _LOW + i), load_line(lines, _HIGH + i)
         by_x, by_y = load_line(lines, _X + i), load_line(lines, _Y + i)
-        by_z = load_line(lines, _Z + i)
+        by_z, start = load_line(lines, _Z + i), base[i]
         for a in range(width):
             w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
             low_a, high_a = scaled(w_a, low), add_scaled(scaled(w_a, high), d_a, by_x)
@@ -175,7 +176,7 @@ def transfers(
             for b in range(width):
                 w_b = number_at(w, (width + b) * LANES + i)
                 d_b = number_at(d, (width + b) * LANES + i)
-                first = 2 * (base[i] + a * far + b * near)
+                first = 2 * (start + a * far + b * near)
                 if dim == 2:
                     add_line(rows, first, w_b, low_a)
                     total = add_scaled(load_line(rows, first + 1), w_b, high_a)
@@ -238,15 +239,16 @@ def transfers(
         """Values of all that nodes have, and slopes of velocities, at the i-th point of a block."""
         low, high = zero_line(), zero_line()
         by_x, by_y, by_z = zero_line(), zero_line(), zero_line()
+        start = base[i]
         for a in range(width):
             w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
             low_a, high_a, y_a, z_a = zero_line(), zero_line(), zero_line(), zero_line()
             for b in range(width):
                 w_b = number_at(w, (width + b) * LANES + i)
                 d_b = number_at(d, (width + b) * LANES + i)
-                first = 2 * (base[i] + a * far + b * near)
+                first = 2 * (start + a * far + b * near)
                 if dim == 2:
-                    low_b, high_b = load_line(rows, first), load_line(rows, first + 1)
+                    low_b = load_line(rows, start + a * far + b)
                 else:
                     low_b, high_b, slope = zero_line(), zero_line(), zero_line()
                     for c in range(depth):
@@ -257,16 +259,18 @@ def transfers(
                         high_b = add_scaled(high_b, w_c, load_line(rows, first + 2 * c + 1))
                     z_a = add_scaled(z_a, w_b, slope)
                 low_a = add_scaled(low_a, w_b, low_b)
-                high_a = add_scaled(high_a, w_b, high_b)
+                if dim == 3:
+                    high_a = add_scaled(high_a, w_b, high_b)
                 y_a = add_scaled(y_a, d_b, low_b)
             low = add_scaled(low, w_a, low_a)
-            high = add_scaled(high, w_a, high_a)
             by_x = add_scaled(by_x, d_a, low_a)
             by_y = add_scaled(by_y, w_a, y_a)
             if dim == 3:
+                high = add_scaled(high, w_a, high_a)
                 by_z = add_scaled(by_z, w_a, z_a)
-        store_line(lines, 2 * i, low)
-        store_line(lines, 2 * i + 1, high)
+        store_line(lines, _LOW + i, low)
+        if dim == 3:
+            store_line(lines, _HIGH + i, high)
         store_line(lines, _X + i, by_x)
         store_line(lines, _Y + i, by_y)
         if dim == 3:
@@ -280,9 +284,10 @@ def transfers(
             Whether all are finite and inside of the lattice, and inside of their window.
         """
         vector, good, stays = block * dim, True, True
+        low = load_columns(lines, _LOW)
+        high = load_columns(lines, _HIGH) if dim == 3 else low
         for j in range(dim):
-            velocity = load_column(lines, VELOCITY + j, LANES)
-            increment = load_column(lines, INCREMENT + j, LANES)
+            velocity, increment = low[v_first + j], high[i_first + j]
             x_next = load(body.x, vector + j) + dt * velocity
             t = (x_next - nodes.origin[j]) * nodes.per_metre[j]
             cells = nodes.shape[j] - 1
@@ -309,9 +314,9 @@ def transfers(
         tensor, before = block * dim * dim, LINE_LANES - 1
         # eq. 16
         for k in range(dim):
+            slopes = load_columns(lines, _X + k * LANES)
             for j in range(dim):
-                first = (_X + k * LANES) * LINE_LANES + VELOCITY + j
-                rate = load_column(lines, first, LINE_LANES)
+                rate = slopes[v_first + j]
                 if rates:
                     store(body.L, tensor + j * dim + k, rate)
                 store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
@@ -335,18 +340,23 @@ def transfers(
             # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
             mixed = (1.0 - r) * load(body.J_bar, block) + r * J_old
             store(shares, 0, load(body.V_0, block) * J_before * dJ * mixed)
-            for c in range(width):
-                store_column(last_w, c, LINE_LANES, load(w, (dim - 1) * width + c))
+            last = (dim - 1) * width
+            store_columns(
+                last_w, 0, load(w, last), load(w, last + 1),
+                load(w, last + 2) if width > 2 else zeros(),
+                load(w, last + 3) if width > 3 else zeros(),
+            )  # fmt: skip
             for i in range(LANES):
-                weights = load_line(last_w, i)
+                weights, start = load_line(last_w, i), base[i] + before
+                share = shares[0, i]
                 for a in range(width):
-                    share_a = shares[0, i] * number_at(w, a * LANES + i)
+                    share_a = share * number_at(w, a * LANES + i)
                     if dim == 2:
-                        add_line(averages, base[i] + a * far + before, share_a, weights)
+                        add_line(averages, start + a * far, share_a, weights)
                     else:
                         for b in range(width):
                             share_b = share_a * number_at(w, (width + b) * LANES + i)
-                            place = base[i] + a * far + b * near + before
+                            place = start + a * far + b * near
                             add_line(averages, place, share_b, weights)
         return between(dJ * J_old, _TINY, _HUGE)
 
@@ -364,7 +374,7 @@ def transfers(
             w, d = scratch_rows(3 * width, LANES), scratch_rows(3 * width, LANES)
             f, shares = scratch_rows(9, LANES), scratch_rows(1, LANES)
             lines, last_w = scratch_rows(_ALL, LINE_LANES), scratch_rows(LANES, LINE_LANES)
-            scratch = scratch_rows(count, LANES)
+            scratch = scratch_rows(count, LINE_LANES if dim == 2 else LANES)
             averages = scratch_rows(count + SPARE, LINE_LANES)
             found[0], stay = -1, True
             for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
@@ -409,10 +419,9 @@ def transfers(
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
                 fill(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
                 m = load(body.mass, block)
-                store_column(lines, MASS, LINE_LANES, m)
-                for k in range(3):
-                    v = load(body.v, block * dim + k) if k < dim else zeros()
-                    store_column(lines, MOMENTUM + k, LINE_LANES, m * v)
+                x, y = m * load(body.v, block * dim), m * load(body.v, block * dim + 1)
+                z = m * load(body.v, block * dim + 2) if dim == 3 else zeros()
+                store_columns(lines, 0, m, x, y, z)
                 for i in range(LANES):
                     line = load_line(lines, i)
                     for a in range(width):
@@ -433,20 +442,20 @@ def transfers(
     def means(base, w, averages, lines):
         """Averaged J at the points of a block."""
         for i in range(LANES):
-            total = zero_line()
+            total, start = zero_line(), base[i]
             for a in range(width):
                 w_a = number_at(w, a * LANES + i)
                 if dim == 2:
-                    total = add_scaled(total, w_a, line_at(averages, base[i] + a * far))
+                    total = add_scaled(total, w_a, line_at(averages, start + a * far))
                 else:
                     for b in range(width):
                         w_b = w_a * number_at(w, (width + b) * LANES + i)
-                        node = base[i] + a * far + b * near
+                        node = start + a * far + b * near
                         total = add_scaled(total, w_b, line_at(averages, node))
             store_line(lines, i, total)
-        total = zeros()
+        total, columns = zeros(), load_columns(lines, 0)
         for c in range(width):
-            total += load_column(lines, c, LINE_LANES) * load(w, (dim - 1) * width + c)
+            total += columns[c] * load(w, (dim - 1) * width + c)
         return total
 
     @_njit

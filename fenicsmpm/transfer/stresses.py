@@ -13,7 +13,7 @@ import numba
 from fenicsmpm.basis.blocks import OPTIONS
 from fenicsmpm.lanes import LANES, tensors, works_on_rows
 
-_inline = numba.njit(forceinline=True, **OPTIONS)
+_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 
 @functools.cache

@@ -22,16 +22,28 @@ import numpy as np
 
 from fenicsmpm.basis.blocks import OPTIONS
 from fenicsmpm.basis.windows import window
-from fenicsmpm.lanes import LANES, LINE_LANES, add_scaled, load, store, store_line, zero_line, zeros
+from fenicsmpm.lanes import (
+    LANES,
+    LINE_LANES,
+    add_scaled,
+    line_of,
+    load,
+    number_at,
+    store,
+    store_line,
+    zero_line,
+    zeros,
+)
+from fenicsmpm.transfer.grid_rows import INCREMENT, VELOCITY
 
 _njit = numba.njit(**OPTIONS)
-_inline = numba.njit(forceinline=True, **OPTIONS)
+_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 # What is allocated beyond the last node, for lines that begin there
 SPARE = LINE_LANES
 
 
-@_inline
+@numba.njit(forceinline=True, **OPTIONS)
 def scratch_rows(n, lanes):
     """Zeros ``(n, lanes)`` in compiled code, each row or line within a cache line."""
     memory = np.zeros(n * lanes + LANES)
@@ -100,7 +112,15 @@ def windows(dim: int, width: int) -> Windows:
     @_inline
     def from_row(place, row, n, rows, scratch):
         for m in range(n):
-            store(scratch, place + m, load(rows, row + m))
+            if dim == 3:
+                store(scratch, place + m, load(rows, row + m))
+            else:
+                first = (row + m) * LANES
+                line = line_of(
+                    number_at(rows, first + VELOCITY), number_at(rows, first + VELOCITY + 1),
+                    number_at(rows, first + INCREMENT), number_at(rows, first + INCREMENT + 1),
+                )  # fmt: skip
+                store_line(scratch, place + m, line)
 
     @_inline
     def to_row(place, row, n, scratch, rows):
