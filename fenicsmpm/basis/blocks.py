@@ -37,9 +37,9 @@ from fenicsmpm.basis.windows import ON_WALL, window
 from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
-# Calls in the loops over points would cost more than what they do. What is inlined need not be kept
-# on disk for itself: it is a part of the loops.
-_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
+# Calls in the loops over points would cost more than what they do, and so would references to arrays
+# that are counted: what is inlined makes none. It need not be kept on disk for itself.
+inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 
 @njit
@@ -110,7 +110,7 @@ def empty_rows(n: int, lanes: int) -> npt.NDArray[np.float64]:
 
 
 @functools.cache
-def stencils(dim: int, kind: int, in_window: bool) -> Any:
+def stencils(dim: int, kind: int, in_window: bool, with_slopes: bool = True) -> Any:
     """Compile the numba function that finds grid functions at a block of points.
 
     Its arguments are positions ``(n_blocks * d, 8)``, the number of the block, the nodes
@@ -123,6 +123,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
         dim: 2 or 3.
         kind: of grid functions.
         in_window: if not, places are numbers of nodes in the lattice, the last direction fastest.
+        with_slopes: if not, only values are found.
     """
     width = WIDTH[kind]
     inside, anywhere = _functions(kind)
@@ -132,7 +133,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
     at_first = (1.0 - LEAST, LEAST, *[0.0] * (width - 2))
     at_last = (*[0.0] * (width - 2), LEAST, 1.0 - LEAST)
 
-    @_inline
+    @inline
     def step(k, nodes):
         if in_window:
             return steps[k]
@@ -141,7 +142,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
             n *= nodes.shape[j]
         return n
 
-    @_inline
+    @inline
     def at_wall(t, cells, half):
         """As ``anywhere``; on a wall, values are exact but for ``LEAST``."""
         first, values, slopes = anywhere(min(max(t, 0.0), float(cells)), cells, half)
@@ -151,7 +152,7 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
             return first, at_last, slopes
         return first, values, slopes
 
-    @_inline
+    @inline
     def fill(x, block, nodes, half, lower, corner, base, w, d):
         near_wall, place = False, zeros()
         for k in range(dim):
@@ -160,7 +161,8 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
             near_wall |= not no_wall
             for a in range(width):
                 store(w, k * width + a, values[a])
-                store(d, k * width + a, slopes[a] * nodes.per_metre[k])
+                if with_slopes:
+                    store(d, k * width + a, slopes[a] * nodes.per_metre[k])
             store(corner, k, first - lower[k])
             place = place + (first - lower[k]) * float(step(k, nodes))
         store_integers(base, place)
@@ -175,7 +177,8 @@ def stencils(dim: int, kind: int, in_window: bool) -> Any:
                     number += (first_i - np.int64(lower[k])) * step(k, nodes)
                     for a in range(width):
                         w[k * width + a, i] = values_i[a]
-                        d[k * width + a, i] = slopes_i[a] * nodes.per_metre[k]
+                        if with_slopes:
+                            d[k * width + a, i] = slopes_i[a] * nodes.per_metre[k]
                 base[i] = number
 
     return fill
@@ -190,13 +193,13 @@ def _functions(kind: int) -> Any:
     """
     if kind == LINEAR:
 
-        @_inline
+        @inline
         def inside(t, cells, half):
             c = min(max(math.floor(t), 0.0), cells - 1.0)
             values, slopes, _ = linear(min(max(t - c, LEAST), 1.0 - LEAST))
             return c, values, (zeros() + slopes[0], zeros() + slopes[1]), True
 
-        @_inline
+        @inline
         def anywhere(t, cells, half):
             c = min(int(t), cells - 1)
             values, slopes, _ = linear(t - c)
@@ -204,13 +207,13 @@ def _functions(kind: int) -> Any:
 
     elif kind == CUBIC:
 
-        @_inline
+        @inline
         def inside(t, cells, half):
             c = math.floor(t)
             values, slopes = cubic_inside(t - c)
             return c - 1.0, values, slopes, between(c, 1, cells - 2)
 
-        @_inline
+        @inline
         def anywhere(t, cells, half):
             c = min(int(t), cells - 1)
             values, slopes, _ = cubic(t - c, c == 0, c == cells - 1)
@@ -224,7 +227,7 @@ def _functions(kind: int) -> Any:
     else:
         is_spline = kind == QUADRATIC
 
-        @_inline
+        @inline
         def inside(t, cells, half):
             node = math.floor(t + 0.5)
             values, slopes = (
@@ -232,7 +235,7 @@ def _functions(kind: int) -> Any:
             )
             return node - 1.0, values, slopes, between(node, 1, cells - 1)
 
-        @_inline
+        @inline
         def anywhere(t, cells, half):
             node = int(t + 0.5)
             lower, upper = node == 0, node == cells
@@ -249,21 +252,21 @@ def _functions(kind: int) -> Any:
     return inside, anywhere
 
 
-@_inline
+@inline
 def _up3(f):
     return f[1], f[2], 0.0
 
 
-@_inline
+@inline
 def _down3(f):
     return 0.0, f[0], f[1]
 
 
-@_inline
+@inline
 def _up4(f):
     return f[1], f[2], f[3], 0.0
 
 
-@_inline
+@inline
 def _down4(f):
     return 0.0, f[0], f[1], f[2]

@@ -8,12 +8,8 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import numba
-
-from fenicsmpm.basis.blocks import OPTIONS
+from fenicsmpm.basis.blocks import inline
 from fenicsmpm.lanes import LANES, tensors, works_on_rows
-
-_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 
 @functools.cache
@@ -22,7 +18,8 @@ def stresses(update: Any, update_eight: Any, n_state: int, rates: bool) -> Any:
 
     Its arguments are the block, its deformation gradients and velocity gradients ``(9, 8)``, the
     law's parameters, the states of all blocks ``(n_blocks * n_state, 8)``, work arrays
-    ``(3, 3, 3)`` and ``(n_state,)``, and the stresses ``(9, 8)``, to be set.
+    ``(3, 3, 3)`` and ``(n_state,)``, and the stresses, to be set in nine rows of an array from one
+    on.
 
     Args:
         update: function of the law.
@@ -31,8 +28,8 @@ def stresses(update: Any, update_eight: Any, n_state: int, rates: bool) -> Any:
         rates: the law needs velocity gradients.
     """
 
-    @_inline
-    def one_by_one(block, F, L, parameters, states, work, state, stress):
+    @inline
+    def one_by_one(block, F, L, parameters, states, work, state, stress, first):
         F_i, L_i, sigma = work[0], work[1], work[2]
         for i in range(LANES):
             for j in range(3):
@@ -47,18 +44,20 @@ def stresses(update: Any, update_eight: Any, n_state: int, rates: bool) -> Any:
                 states[block * n_state + k, i] = state[k]
             for j in range(3):
                 for k in range(3):
-                    stress[3 * j + k, i] = sigma[j, k]
+                    stress[first + 3 * j + k, i] = sigma[j, k]
 
-    @_inline
-    def all_at_once(block, F, L, parameters, states, work, state, stress):
+    @inline
+    def all_at_once(block, F, L, parameters, states, work, state, stress, first):
         nothing = tensors(states, 0)
-        update(tensors(F, 0), tensors(L, 0), parameters, nothing, tensors(stress, 0))
+        update(tensors(F, 0), tensors(L, 0), parameters, nothing, tensors(stress, first))
 
-    @_inline
-    def if_easy(block, F, L, parameters, states, work, state, stress):
+    @inline
+    def if_easy(block, F, L, parameters, states, work, state, stress, first):
         before = tensors(states, block * n_state)
-        if not update_eight(tensors(F, 0), tensors(L, 0), parameters, before, tensors(stress, 0)):
-            one_by_one(block, F, L, parameters, states, work, state, stress)
+        if not update_eight(
+            tensors(F, 0), tensors(L, 0), parameters, before, tensors(stress, first)
+        ):
+            one_by_one(block, F, L, parameters, states, work, state, stress, first)
 
     if n_state == 0 and works_on_rows(update):
         return all_at_once

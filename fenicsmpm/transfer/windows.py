@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from fenicsmpm.basis.blocks import OPTIONS
+from fenicsmpm.basis.blocks import OPTIONS, inline
 from fenicsmpm.basis.windows import window
 from fenicsmpm.lanes import (
     LANES,
@@ -37,7 +37,6 @@ from fenicsmpm.lanes import (
 from fenicsmpm.transfer.grid_rows import INCREMENT, VELOCITY
 
 _njit = numba.njit(**OPTIONS)
-_inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 # What is allocated beyond the last node, for lines that begin there
 SPARE = LINE_LANES
@@ -71,7 +70,7 @@ def windows(dim: int, width: int) -> Windows:
     side_z, margin_z = (side, margin) if dim == 3 else (1, 0)
     per_tile = side * side * side_z
 
-    @_inline
+    @inline
     def extent(i, n, rim, first, last):
         """Which nodes of the i-th of three tiles of n, from the middle one on, are wanted."""
         return max((i - 1) * n, first - rim), min(i * n, last + 1 - rim)
@@ -109,7 +108,7 @@ def windows(dim: int, width: int) -> Windows:
 
         return loop
 
-    @_inline
+    @inline
     def from_row(place, row, n, rows, scratch):
         for m in range(n):
             if dim == 3:
@@ -122,18 +121,18 @@ def windows(dim: int, width: int) -> Windows:
                 )  # fmt: skip
                 store_line(scratch, place + m, line)
 
-    @_inline
+    @inline
     def to_row(place, row, n, scratch, rows):
         for m in range(n):
             store(rows, row + m, add_scaled(load(rows, row + m), 1.0, load(scratch, place + m)))
             store(scratch, place + m, zeros())
 
-    @_inline
+    @inline
     def from_average(place, row, n, averages, scratch):
         for m in range(n):
             scratch[place + m] = averages[row + m]
 
-    @_inline
+    @inline
     def to_sum(place, row, n, lines, sums):
         for i in range(n):
             m = place + before + i
