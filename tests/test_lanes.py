@@ -58,12 +58,10 @@ def test_formulas_give_in_each_lane_what_they_give_for_numbers():
 
 
 @njit
-def _memory(x, integers, column, lines):
+def _memory(x, integers, lines):
     row = lanes.load(x, 1)
     lanes.store_integers(integers, row)
-    lanes.store_column(column, 2, 3, row)
-    again = lanes.load_column(column, 2, 3)
-    lanes.store(x, 0, lanes.add_scaled(lanes.zeros(), 2.0, again))
+    lanes.store(x, 0, lanes.add_scaled(lanes.zeros(), 2.0, row))
     line = lanes.add_scaled(lanes.zero_line(), 3.0, lanes.load_line(lines, 1))
     lanes.store_line(lines, 0, line)
     return lanes.between(row, 0, 7), lanes.between(row, 1, 7), lanes.number_at(x, 9)
@@ -71,12 +69,31 @@ def _memory(x, integers, column, lines):
 
 def test_rows_and_lines_in_memory():
     x = np.vstack([np.zeros(8), np.arange(8.0)])
-    integers, column, lines = np.zeros(8, np.int64), np.zeros(26), np.arange(8.0).reshape(2, 4)
-    assert _memory(x, integers, column, lines) == (True, False, 1.0)
+    integers, lines = np.zeros(8, np.int64), np.arange(8.0).reshape(2, 4)
+    assert _memory(x, integers, lines) == (True, False, 1.0)
     assert integers.tolist() == list(range(8))
-    assert np.flatnonzero(column).tolist() == list(range(5, 26, 3))
     assert x[0].tolist() == (2 * np.arange(8.0)).tolist()
     assert lines[0].tolist() == [12, 15, 18, 21]
+
+
+@njit
+def _columns(rows, lines, again):
+    lanes.store_columns(
+        lines, 1, lanes.load(rows, 0), lanes.load(rows, 1), lanes.load(rows, 2), lanes.load(rows, 3)
+    )
+    columns = lanes.load_columns(lines, 1)
+    for k in range(4):
+        lanes.store(again, k, columns[k])
+    lanes.store_line(lines, 0, lanes.line_of(lines[1, 0], 2.0, 3.0, lines[8, 3]))
+
+
+def test_rows_are_columns_of_lines():
+    rows, lines, again = RNG.normal(size=(4, 8)), np.zeros((10, 4)), np.zeros((4, 8))
+    _columns(rows, lines, again)
+    assert np.array_equal(lines[1:9], rows.T)
+    assert np.array_equal(again, rows)
+    assert lines[0].tolist() == [rows[0, 0], 2.0, 3.0, rows[3, 7]]
+    assert not lines[9].any()
 
 
 @njit

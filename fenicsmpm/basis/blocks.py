@@ -37,8 +37,8 @@ from fenicsmpm.basis.windows import ON_WALL, window
 from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
-# Calls in the loops over points would cost more than what they do, and so would references to arrays
-# that are counted: what is inlined makes none. It need not be kept on disk for itself.
+# Calls in the loops over points would cost more than what they do, and so would counting references
+# to arrays: what is inlined does not. It need not be kept on disk for itself.
 inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
 
 

@@ -121,8 +121,7 @@ def transfers(
     def give(unit, units, nodes, half, body, x, sigma, begin, work, scratch, rows):
         """Add the points of a unit at x to the nodes.
 
-        Args:
-            sigma: stresses (3, 3) of the points, from those of the block ``begin`` on.
+        Their stresses are in ``sigma``, from those of the block ``begin`` on.
         """
         corner, base, w, d, lines, reach = work
         no_reach(reach)

@@ -73,15 +73,10 @@ def to_nodes(dim: int, width: int) -> ToNodes:
     @inline
     def of_point(lines, i):
         """Halves of a row of the grid, and slopes of the second one."""
+        low = load_line(lines, _LOW + i)
         high = line_of(number_at(lines, _VOLUMES * LINE_LANES + i), 0.0, 0.0, 0.0)
-        by_z = load_line(lines, _Z + i)
-        return (
-            load_line(lines, _LOW + i),
-            high,
-            load_line(lines, _X + i),
-            load_line(lines, _Y + i),
-            by_z,
-        )
+        by_x, by_y = load_line(lines, _X + i), load_line(lines, _Y + i)
+        return low, high, by_x, by_y, load_line(lines, _Z + i)
 
     @inline
     def at_first(given, i, a, w, d):

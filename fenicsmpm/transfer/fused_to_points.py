@@ -37,8 +37,8 @@ from fenicsmpm.lanes import (
 )
 from fenicsmpm.materials.tensors import cube_root
 
-# First lines of a block's points: of what nodes have, in the plane of velocity and its increment,
-# in space of mass and velocity and of volume and increment; and slopes of the first in each direction
+# First lines of a block's points: in the plane of velocity and its increment, in space of mass and
+# velocity, and of volume and increment; and of the slopes of velocity in each direction
 _LOW, _HIGH, _X, _Y, _Z, LINES = (k * LANES for k in range(6))
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
 
@@ -112,6 +112,20 @@ def to_points(dim: int, width: int, rates: bool) -> ToPoints:
         return low, high, slope
 
     @inline
+    def along_second(first, i, w, d, rows):
+        """The same, with slopes in the second direction, in a plane of nodes in space."""
+        if dim == 2:
+            low, high, by_y = along_last(first, i, w, d, rows)
+            return low, high, by_y, zero_line()
+        low, high, by_y, by_z = zero_line(), zero_line(), zero_line(), zero_line()
+        for b in range(width):
+            w_b, d_b = number_at(w, (width + b) * LANES + i), number_at(d, (width + b) * LANES + i)
+            low_b, high_b, z_b = along_last(first + b * near, i, w, d, rows)
+            low, by_y = add_scaled(low, w_b, low_b), add_scaled(by_y, d_b, low_b)
+            high, by_z = add_scaled(high, w_b, high_b), add_scaled(by_z, w_b, z_b)
+        return low, high, by_y, by_z
+
+    @inline
     def interpolate(base, w, d, rows, lines):
         """Values of all that nodes have, and slopes of velocities, at the points of a block."""
         for i in range(LANES):
@@ -119,23 +133,10 @@ def to_points(dim: int, width: int, rates: bool) -> ToPoints:
             by_x, by_y, by_z = zero_line(), zero_line(), zero_line()
             for a in range(width):
                 w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
-                if dim == 2:
-                    low_a, high_a, y_a = along_last(start + a * far, i, w, d, rows)
-                else:
-                    low_a, high_a, y_a, z_a = zero_line(), zero_line(), zero_line(), zero_line()
-                    for b in range(width):
-                        w_b = number_at(w, (width + b) * LANES + i)
-                        d_b = number_at(d, (width + b) * LANES + i)
-                        first = start + a * far + b * near
-                        low_b, high_b, z_b = along_last(first, i, w, d, rows)
-                        low_a, high_a = (
-                            add_scaled(low_a, w_b, low_b),
-                            add_scaled(high_a, w_b, high_b),
-                        )
-                        y_a, z_a = add_scaled(y_a, d_b, low_b), add_scaled(z_a, w_b, z_b)
-                    high, by_z = add_scaled(high, w_a, high_a), add_scaled(by_z, w_a, z_a)
-                low = add_scaled(low, w_a, low_a)
-                by_x, by_y = add_scaled(by_x, d_a, low_a), add_scaled(by_y, w_a, y_a)
+                low_a, high_a, y_a, z_a = along_second(start + a * far, i, w, d, rows)
+                low, by_x = add_scaled(low, w_a, low_a), add_scaled(by_x, d_a, low_a)
+                high, by_y = add_scaled(high, w_a, high_a), add_scaled(by_y, w_a, y_a)
+                by_z = add_scaled(by_z, w_a, z_a)
             store_line(lines, _LOW + i, low)
             store_line(lines, _X + i, by_x)
             store_line(lines, _Y + i, by_y)
