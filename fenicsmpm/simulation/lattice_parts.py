@@ -40,7 +40,7 @@ from fenicsmpm.transfer.tiles import (
     sort_keys,
     targets,
 )
-from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls
+from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls, with_material
 
 Array = npt.NDArray[np.float64]
 
@@ -310,8 +310,9 @@ class Part:
         grid.merge(self._all_sums, self._copies)
         self._sum_volumes.add(self.rows)
         self._sum_averages.add(self._sums)
+        walls = with_material(self._walls, flat(self.rows)[:, grid.VOLUME])
         grid.average_nodes(self.rows, self._sums)
-        continue_to_walls(self._sums.ravel(), self._walls)
+        continue_to_walls(self._sums.ravel(), walls)
 
     def finish(self, again: bool, keep: bool) -> None:
         """Stresses and new positions.

@@ -9,8 +9,9 @@ line through it and the next one,
     J_i <- J_i + c (J_i - J_i+1),    c = (x_i - X_i) / (X_i - X_i+1)
 
 with centroids X of the functions, by as many points in each cell as the body has. Linear fields are
-then averaged exactly in bodies that fill the cells at a wall, as long as J differs by less than 10
-percent from cell to cell.
+then averaged exactly in bodies that fill the cells at a wall. Where the slope changes, as at the
+corners of a clamp, the difference is at most twice the one to the node after the next: singular
+fields are not continued.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -27,6 +28,7 @@ from fenicsmpm.basis.lattice_stencil import KINDS, half_size_in_cells
 from fenicsmpm.basis.lines import WIDTH, tabulate_line
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.location import locator
+from fenicsmpm.transfer.light_nodes import LIGHT
 from fenicsmpm.transfer.tiles import Nodes
 
 Array = npt.NDArray[np.float64]
@@ -34,9 +36,8 @@ Integers = npt.NDArray[np.int64]
 
 # Cells on a line of which no more are needed: functions in the middle do not see its ends
 _CELLS = 8
-# Largest difference that is continued, as a share of a node's average: where J differs by more from
-# cell to cell, it is no smooth field
-_STEEPEST = 0.1
+# Largest difference that is continued, in terms of the next one
+_STEEPEST = 2.0
 
 
 class WallNodes(NamedTuple):
@@ -45,11 +46,13 @@ class WallNodes(NamedTuple):
     Attributes:
         nodes: ``(n,)`` their numbers.
         inner: ``(n,)`` those of the next nodes, away from the wall.
+        further: ``(n,)`` those of the nodes after these.
         shares: ``(n,)`` of the difference, c above.
     """
 
     nodes: Integers
     inner: Integers
+    further: Integers
     shares: Array
 
 
@@ -102,35 +105,42 @@ def find_wall_nodes(
         shares: of each direction, see ``wall_shares``.
 
     Returns:
-        Places in ``index``, numbers of the next nodes ``(m, d)``, and shares ``(m,)``.
+        Places in ``index``, steps ``(m, d)`` away from the wall, and shares ``(m,)``.
     """
-    nodes, inner, factors = [], [], []
+    nodes, steps, factors = [], [], []
     for k, layers in enumerate(shares):
         for layer, share in enumerate(layers):
             for at, step in ((layer, 1), (shape[k] - 1 - layer, -1)):
                 found = np.flatnonzero(index[:, k] == at)
                 nodes.append(found)
-                inner.append(index[found] + step * (np.arange(index.shape[1]) == k))
+                steps.append(np.tile(step * (np.arange(index.shape[1]) == k), (len(found), 1)))
                 factors.append(np.full(len(found), share))
     if not nodes:
         return np.empty(0, np.int64), np.empty((0, index.shape[1]), np.int64), np.empty(0)
-    return np.concatenate(nodes), np.concatenate(inner), np.concatenate(factors)
+    return np.concatenate(nodes), np.concatenate(steps), np.concatenate(factors)
+
+
+def with_material(walls: WallNodes, volumes: Array) -> WallNodes:
+    """Those of some nodes where the next two are not light.
+
+    Args:
+        walls: the nodes.
+        volumes: ``(n,)`` of the body at all nodes.
+    """
+    least = LIGHT * volumes[walls.nodes]
+    there = (volumes[walls.inner] > least) & (volumes[walls.further] > least)
+    return walls if there.all() else WallNodes(*(values[there] for values in walls))
 
 
 @njit
 def continue_to_walls(means, walls):
-    """Continue averages to walls in place.
-
-    Args:
-        means: ``(n,)`` positive averages at nodes; 0 where there is nothing.
-        walls: the nodes, see ``WallNodes``.
-    """
+    """Continue averages ``(n,)`` at nodes to walls, in place; see ``with_material``."""
     change = np.zeros(len(walls.nodes))
     for i in range(len(change)):
         here, next_one = means[walls.nodes[i]], means[walls.inner[i]]
-        if here != 0.0 and next_one != 0.0:
-            limit = _STEEPEST * here
-            change[i] = walls.shares[i] * min(max(here - next_one, -limit), limit)
+        limit = _STEEPEST * (next_one - means[walls.further[i]])
+        difference = min(max(here - next_one, min(limit, 0.0)), max(limit, 0.0))
+        change[i] = walls.shares[i] * difference
     for i in range(len(change)):
         means[walls.nodes[i]] += change[i]
 
@@ -175,7 +185,7 @@ class WallsOfBody:
         return self.among(np.arange(len(x)), index)
 
     def among(self, numbers: Integers, index: Integers) -> WallNodes:
-        """Those among some nodes, of which the next ones are there, too.
+        """Those among some nodes, of which the next two are there, too.
 
         Args:
             numbers: ``(n,)`` of the nodes.
@@ -183,17 +193,23 @@ class WallsOfBody:
         """
         if self._boxes is None or len(index) == 0:
             empty = np.empty(0, np.int64)
-            return WallNodes(empty, empty, np.empty(0))
+            return WallNodes(empty, empty, empty, np.empty(0))
         shape = np.asarray(self._boxes.shape + 1)
         index = index[:, : len(shape)]
-        nodes, inner, shares = find_wall_nodes(index, shape, self._shares)
+        nodes, steps, shares = find_wall_nodes(index, shape, self._shares)
         flat = np.atleast_1d(np.ravel_multi_index(tuple(index.T), tuple(shape)))
-        wanted = np.atleast_1d(np.ravel_multi_index(tuple(inner.T), tuple(shape)))
         order = np.argsort(flat)
-        places = np.searchsorted(flat, wanted, sorter=order)
-        found = order[np.minimum(places, len(order) - 1)]
-        there = flat[found] == wanted
-        return WallNodes(numbers[nodes[there]], numbers[found[there]], shares[there])
+        found, there = [], np.ones(len(nodes), np.bool_)
+        for count in (1, 2):
+            wanted = index[nodes] + count * steps
+            there &= ((wanted >= 0) & (wanted < shape)).all(axis=1)
+            inside = np.clip(wanted, 0, shape - 1)
+            numbers_there = np.atleast_1d(np.ravel_multi_index(tuple(inside.T), tuple(shape)))
+            places = np.searchsorted(flat, numbers_there, sorter=order)
+            found.append(order[np.minimum(places, len(order) - 1)])
+            there &= flat[found[-1]] == numbers_there
+        inner, further = (numbers[place[there]] for place in found)
+        return WallNodes(numbers[nodes[there]], inner, further, shares[there])
 
     def in_tiles(self, ids: Integers, nodes: Nodes) -> WallNodes:
         """Those in some tiles, numbered through.
@@ -203,8 +219,9 @@ class WallsOfBody:
             nodes: of the lattice.
         """
         tile = np.stack(np.unravel_index(ids, tuple(nodes.tiles)), axis=-1)
-        # near a wall in a direction that has several nodes; the next node may be a tile further
-        near = (tile < 1) | (tile >= nodes.tiles - 2)
+        # near a wall in a direction that has several nodes, or with the next ones of such
+        reach = 2 + max((len(layers) for layers in self._shares), default=0)
+        near = (tile * nodes.side < reach) | ((tile + 1) * nodes.side > nodes.shape - reach)
         tiles = np.flatnonzero((near & (nodes.shape > 1)).any(axis=1))
         index = nodes.in_tiles(ids[tiles])
         numbers = tiles[:, None] * nodes.per_tile + np.arange(nodes.per_tile)
