@@ -12,9 +12,9 @@ from fenicsmpm.basis.blocks import in_blocks, out_of_blocks, plain_order
 from fenicsmpm.basis.lattice_stencil import half_size_in_cells
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.basis.windows import MARGIN
-from fenicsmpm.lanes import LANES
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.transfer.carriers import carriers
+from fenicsmpm.transfer.grid_rows import COLUMNS
 from fenicsmpm.transfer.tiles import Integers, Nodes, around, limits
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +109,7 @@ class Carried:
 
 def flat(tiles: Array) -> Array:
     """Rows of all tiles, one after the other."""
-    return tiles.reshape(-1, LANES)
+    return tiles.reshape(-1, COLUMNS)
 
 
 def half_size(points: MaterialPoints) -> Array:

@@ -118,15 +118,14 @@ class LatticeEngine:
         layouts = [part.settle_down(layout, sharing, several) for part in self.parts]
         self._places = [np.searchsorted(layout.ids, own.ids) for own in layouts]
         self._free()
-        moved = [i for i in range(8) if i != grid.VOLUME]
-        self._sums = Sums(sharing, nodes.per_tile, moved)
+        self._sums = Sums(sharing, nodes.per_tile * grid.COLUMNS)
         self.rows = (
             grid.tile_rows(len(layout.ids), nodes.per_tile) if several else self.parts[0].rows
         )
         self._bounds = np.zeros((len(layout.ids), 2))
         self._forces = np.zeros((len(layout.ids) if self.carried else 0, nodes.per_tile, 3))
         if self.carried:
-            self._sum_forces = Sums(sharing, nodes.per_tile, [0, 1, 2])
+            self._sum_forces = Sums(sharing, nodes.per_tile * 3)
         self._all_dofs = None
         self._supports.find(sharing, nodes, self._numbers)
         for part in self.parts:

@@ -40,7 +40,7 @@ from fenicsmpm.transfer.tiles import (
     sort_keys,
     targets,
 )
-from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls, with_material
+from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls, have_material
 
 Array = npt.NDArray[np.float64]
 
@@ -171,8 +171,9 @@ class Part:
         if self._walls_of is not None:
             self._walls = self._walls_of.in_tiles(layout.ids, nodes)
         if self._fbar is not None:
-            self._sum_volumes = Sums(sharing, nodes.per_tile, [grid.VOLUME])
-            self._sum_averages = Sums(sharing, nodes.per_tile, [0])
+            # of one body, they are summed up with the other columns
+            self._sum_volumes = Sums(sharing, nodes.per_tile) if own else None
+            self._sum_averages = Sums(sharing, nodes.per_tile)
         return layout
 
     def drop(self) -> None:
@@ -304,15 +305,18 @@ class Part:
 
     def average(self) -> None:
         """Average J at the nodes, and clear the rows for the next step (collective)."""
-        if self._sum_volumes is None or self._sum_averages is None:
+        if self._sum_averages is None:
             grid.clear(self.rows)
             return
         grid.merge(self._all_sums, self._copies)
-        self._sum_volumes.add(self.rows)
+        if self._sum_volumes is not None:
+            volumes = self.rows[:, :, grid.VOLUME].copy()
+            self._sum_volumes.add(volumes)
+            self.rows[:, :, grid.VOLUME] = volumes
         self._sum_averages.add(self._sums)
-        walls = with_material(self._walls, flat(self.rows)[:, grid.VOLUME])
+        there = have_material(self._walls, flat(self.rows)[:, grid.VOLUME])
         grid.average_nodes(self.rows, self._sums)
-        continue_to_walls(self._sums.ravel(), walls)
+        continue_to_walls(self._sums.ravel(), self._walls, there)
 
     def finish(self, again: bool, keep: bool) -> None:
         """Stresses and new positions.

@@ -14,12 +14,12 @@ import numpy as np
 
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows
-from fenicsmpm.lanes import LANES
 
 # Columns of a row, of which vectors have three: before the update of the nodes ...
 MASS, MOMENTUM, VOLUME, FORCE = 0, 1, 4, 5
 # ... and after it
 VELOCITY, INCREMENT = MOMENTUM, FORCE
+COLUMNS = 8
 
 # Nodes with less mass than that of anything are empty
 _NOTHING = 1e-290
@@ -27,9 +27,9 @@ _NOTHING = 1e-290
 
 def tile_rows(tiles: int, per_tile: int) -> np.ndarray:
     """Zeros ``(tiles, per_tile, 8)``, each row within a cache line."""
-    rows = empty_rows(tiles * per_tile, LANES)
+    rows = empty_rows(tiles * per_tile, COLUMNS)
     rows[:] = 0.0
-    return rows.reshape(tiles, per_tile, LANES)
+    return rows.reshape(tiles, per_tile, COLUMNS)
 
 
 @njit
@@ -49,7 +49,7 @@ def add_body(rows, place, total):
     """Add the tiles of a body to those of all bodies."""
     for tile in numba.prange(len(place)):
         for n in range(rows.shape[1]):
-            for i in range(LANES):
+            for i in range(COLUMNS):
                 total[place[tile], n, i] += rows[tile, n, i]
 
 
@@ -135,7 +135,7 @@ def relieve(rows, bounds, forces, column, of_loads, neighbours, ids, nodes, thre
         nodes: of the lattice.
         threshold: share of the mean mass around a node, below which it is light.
     """
-    flat, f = rows.reshape(-1, LANES), forces.reshape(-1, forces.shape[2])
+    flat, f = rows.reshape(-1, COLUMNS), forces.reshape(-1, forces.shape[2])
     per_tile = rows.shape[1]
     around, cells = np.empty(27, np.int64), np.empty(27, np.int64)
     # lists of which numba knows the types
@@ -225,7 +225,7 @@ def reactions(rows, dt, places, components, values, counted):
         values: ``(n,)`` [m/s].
         counted: ``(n_tiles,)`` whether this rank is the one that counts a tile.
     """
-    total, flat = np.zeros(3), rows.reshape(-1, LANES)
+    total, flat = np.zeros(3), rows.reshape(-1, COLUMNS)
     for i in range(len(places)):
         n, k = places[i], components[i]
         if counted[n // rows.shape[1]]:
@@ -237,7 +237,7 @@ def reactions(rows, dt, places, components, values, counted):
 @njit
 def constrain(rows, places, components, values):
     """Prescribe velocities of updated nodes."""
-    flat = rows.reshape(-1, LANES)
+    flat = rows.reshape(-1, COLUMNS)
     for i in range(len(places)):
         n, k = places[i], components[i]
         flat[n, INCREMENT + k] += values[i] - flat[n, VELOCITY + k]
@@ -255,5 +255,5 @@ def average_nodes(rows, sums):
             volume = rows[tile, n, VOLUME]
             # nodes at the edge of a point's support may have neither volume nor J
             sums[tile, n, 0] = sums[tile, n, 0] / volume if volume > 0.0 else 0.0
-            for i in range(LANES):
+            for i in range(COLUMNS):
                 rows[tile, n, i] = 0.0

@@ -29,11 +29,10 @@ Floats = npt.NDArray[np.float64]
 
 
 @njit
-def _pack(tiles, chosen, columns, packed):
+def _pack(tiles, chosen, packed):
     for t in range(len(chosen)):
-        for n in range(tiles.shape[1]):
-            for i in range(len(columns)):
-                packed[t, n, i] = tiles[chosen[t], n, columns[i]]
+        for i in range(tiles.shape[1]):
+            packed[t, i] = tiles[chosen[t], i]
 
 
 @njit
@@ -45,19 +44,17 @@ def copy_rows(values, places, dofs, index, nodal):
 
 
 @njit
-def _clear(tiles, chosen, columns):
+def _clear(tiles, chosen):
     for t in range(len(chosen)):
-        for n in range(tiles.shape[1]):
-            for i in range(len(columns)):
-                tiles[chosen[t], n, columns[i]] = 0.0
+        for i in range(tiles.shape[1]):
+            tiles[chosen[t], i] = 0.0
 
 
 @njit
-def _add(tiles, chosen, columns, packed):
+def _add(tiles, chosen, packed):
     for t in range(len(chosen)):
-        for n in range(tiles.shape[1]):
-            for i in range(len(columns)):
-                tiles[chosen[t], n, columns[i]] += packed[t, n, i]
+        for i in range(tiles.shape[1]):
+            tiles[chosen[t], i] += packed[t, i]
 
 
 class Sharing:
@@ -134,25 +131,23 @@ def _pairs(ids: Integers) -> tuple[Integers, Integers]:
 
 
 class Sums:
-    """Sums over ranks of some columns of the tiles that they share.
+    """Sums over ranks of the tiles that they share.
 
     Args:
         sharing: who has which tiles.
-        per_tile: nodes of a tile.
-        columns: which ones.
+        numbers: how many a tile has.
     """
 
-    def __init__(self, sharing: Sharing, per_tile: int, columns: list[int]) -> None:
+    def __init__(self, sharing: Sharing, numbers: int) -> None:
         """Allocate what is sent and received, once for all steps of a block."""
         comm = sharing.comm
-        self._columns = np.array(columns)
+        self._numbers = numbers
         self._give = list(sharing._give.items())
         self._take = dict(sharing._take)
         mine = [np.empty(0, np.int64), *self._take.values()]
         self._take[comm.rank] = np.unique(np.concatenate(mine))
-        shape = per_tile, len(columns)
-        self._sent = [np.empty((len(tiles), *shape)) for _, tiles in self._give]
-        self._taken = {rank: np.empty((len(tiles), *shape)) for rank, tiles in self._take.items()}
+        self._sent = [np.empty((len(tiles), numbers)) for _, tiles in self._give]
+        self._taken = {rank: np.empty((len(tiles), numbers)) for rank, tiles in self._take.items()}
         self._requests: list[Any] = []
         if comm.size > 1:
             receive = [
@@ -168,18 +163,19 @@ class Sums:
         self._rank = comm.rank
 
     def add(self, tiles: Floats) -> None:
-        """Sum up tiles ``(n_tiles, nodes, all columns)`` in place (collective)."""
+        """Sum up tiles ``(n_tiles, ...)``, which are contiguous, in place (collective)."""
         if not self._requests:
             return
+        flat = tiles.reshape(-1, self._numbers)
         for (_, chosen), packed in zip(self._give, self._sent, strict=True):
-            _pack(tiles, chosen, self._columns, packed)
+            _pack(flat, chosen, packed)
         MPI.Prequest.Startall(self._requests)
         mine = self._take[self._rank]
-        _pack(tiles, mine, self._columns, self._taken[self._rank])
-        _clear(tiles, mine, self._columns)
+        _pack(flat, mine, self._taken[self._rank])
+        _clear(flat, mine)
         MPI.Request.Waitall(self._requests)
         for rank in sorted(self._take):
-            _add(tiles, self._take[rank], self._columns, self._taken[rank])
+            _add(flat, self._take[rank], self._taken[rank])
 
     def free(self) -> None:
         """Give the requests back to MPI."""

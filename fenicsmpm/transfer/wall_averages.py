@@ -120,23 +120,23 @@ def find_wall_nodes(
     return np.concatenate(nodes), np.concatenate(steps), np.concatenate(factors)
 
 
-def with_material(walls: WallNodes, volumes: Array) -> WallNodes:
-    """Those of some nodes where the next two are not light.
-
-    Args:
-        walls: the nodes.
-        volumes: ``(n,)`` of the body at all nodes.
-    """
-    least = LIGHT * volumes[walls.nodes]
-    there = (volumes[walls.inner] > least) & (volumes[walls.further] > least)
-    return walls if there.all() else WallNodes(*(values[there] for values in walls))
+@njit
+def have_material(walls, volumes):
+    """At which nodes the next two are not light, by the volumes ``(n,)`` of a body at all nodes."""
+    there = np.empty(len(walls.nodes), np.bool_)
+    for i in range(len(there)):
+        least = LIGHT * volumes[walls.nodes[i]]
+        there[i] = (
+            least > 0.0 and volumes[walls.inner[i]] > least and volumes[walls.further[i]] > least
+        )
+    return there
 
 
 @njit
-def continue_to_walls(means, walls):
-    """Continue averages ``(n,)`` at nodes to walls, in place; see ``with_material``."""
+def continue_to_walls(means, walls, there):
+    """Continue averages ``(n,)`` at nodes to walls, in place, where ``have_material`` says so."""
     change = np.zeros(len(walls.nodes))
-    for i in range(len(change)):
+    for i in np.flatnonzero(there):
         here, next_one = means[walls.nodes[i]], means[walls.inner[i]]
         limit = _STEEPEST * (next_one - means[walls.further[i]])
         difference = min(max(here - next_one, min(limit, 0.0)), max(limit, 0.0))
