@@ -33,7 +33,7 @@ from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.contact import keep_points_out, push_points
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS, LightNodes
-from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls, have_material
+from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls
 
 if TYPE_CHECKING:
     from fenicsmpm.simulation.explicit import ExplicitMPM
@@ -124,8 +124,7 @@ class BodyByForms:
         where = sums[:, 0] > 0
         self._mean.x.array[:] = 0.0
         np.divide(sums[:, 1], sums[:, 0], out=self._mean.x.array, where=where)
-        there = have_material(self._walls, sums[:, 0])
-        continue_to_walls(self._mean.x.array, self._walls, there)
+        continue_to_walls(self._mean.x.array, sums[:, 0], self._walls)
         self._mean.x.scatter_forward()  # the next nodes of ghosts may be away
         return self._mean_at_points.evaluate()
 

@@ -40,7 +40,7 @@ from fenicsmpm.transfer.tiles import (
     sort_keys,
     targets,
 )
-from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls, have_material
+from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls
 
 Array = npt.NDArray[np.float64]
 
@@ -167,6 +167,7 @@ class Part:
         averaged = 0 if self._fbar is None else everywhere
         self._all_sums: Array = np.zeros((averaged, nodes.per_tile, 1))
         self._sums = self._all_sums[: self._n_tiles]
+        self._volumes = np.empty(self._sums.shape)
         self.free()
         if self._walls_of is not None:
             self._walls = self._walls_of.in_tiles(layout.ids, nodes)
@@ -314,9 +315,8 @@ class Part:
             self._sum_volumes.add(volumes)
             self.rows[:, :, grid.VOLUME] = volumes
         self._sum_averages.add(self._sums)
-        there = have_material(self._walls, flat(self.rows)[:, grid.VOLUME])
-        grid.average_nodes(self.rows, self._sums)
-        continue_to_walls(self._sums.ravel(), self._walls, there)
+        grid.average_nodes(self.rows, self._sums, self._volumes)
+        continue_to_walls(self._sums.ravel(), self._volumes.ravel(), self._walls)
 
     def finish(self, again: bool, keep: bool) -> None:
         """Stresses and new positions.

@@ -245,15 +245,17 @@ def constrain(rows, places, components, values):
 
 
 @njit(parallel=True)
-def average_nodes(rows, sums):
-    """Volume-averaged J at the nodes (F-bar, eq. 19) in place of its sums ``(n_tiles, nodes, 1)``.
+def average_nodes(rows, sums, volumes):
+    """Volume-averaged J at the nodes (F-bar, eq. 19) in place of its sums, and their volumes.
 
-    The rows ``(n_tiles, nodes, 8)`` are cleared for the next step.
+    Both are ``(n_tiles, nodes, 1)``. The rows ``(n_tiles, nodes, 8)`` are cleared for the next
+    step.
     """
     for tile in numba.prange(len(rows)):
         for n in range(rows.shape[1]):
             volume = rows[tile, n, VOLUME]
             # nodes at the edge of a point's support may have neither volume nor J
             sums[tile, n, 0] = sums[tile, n, 0] / volume if volume > 0.0 else 0.0
+            volumes[tile, n, 0] = volume
             for i in range(COLUMNS):
                 rows[tile, n, i] = 0.0

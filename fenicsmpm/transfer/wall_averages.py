@@ -121,26 +121,23 @@ def find_wall_nodes(
 
 
 @njit
-def have_material(walls, volumes):
-    """At which nodes the next two are not light, by the volumes ``(n,)`` of a body at all nodes."""
-    there = np.empty(len(walls.nodes), np.bool_)
-    for i in range(len(there)):
-        least = LIGHT * volumes[walls.nodes[i]]
-        there[i] = (
-            least > 0.0 and volumes[walls.inner[i]] > least and volumes[walls.further[i]] > least
-        )
-    return there
+def continue_to_walls(means, volumes, walls):
+    """Continue averages ``(n,)`` at nodes to walls, in place, where the next two are not light.
 
-
-@njit
-def continue_to_walls(means, walls, there):
-    """Continue averages ``(n,)`` at nodes to walls, in place, where ``have_material`` says so."""
+    Args:
+        means: ``(n,)`` averages at nodes.
+        volumes: ``(n,)`` of the body at nodes.
+        walls: the nodes, see ``WallNodes``.
+    """
     change = np.zeros(len(walls.nodes))
-    for i in np.flatnonzero(there):
-        here, next_one = means[walls.nodes[i]], means[walls.inner[i]]
-        limit = _STEEPEST * (next_one - means[walls.further[i]])
-        difference = min(max(here - next_one, min(limit, 0.0)), max(limit, 0.0))
-        change[i] = walls.shares[i] * difference
+    for i in range(len(change)):
+        least = LIGHT * volumes[walls.nodes[i]]
+        if least > 0.0 and volumes[walls.inner[i]] > least and volumes[walls.further[i]] > least:
+            next_one = means[walls.inner[i]]
+            limit = _STEEPEST * (next_one - means[walls.further[i]])
+            difference = means[walls.nodes[i]] - next_one
+            difference = min(max(difference, min(limit, 0.0)), max(limit, 0.0))
+            change[i] = walls.shares[i] * difference
     for i in range(len(change)):
         means[walls.nodes[i]] += change[i]
 
@@ -208,8 +205,11 @@ class WallsOfBody:
             places = np.searchsorted(flat, numbers_there, sorter=order)
             found.append(order[np.minimum(places, len(order) - 1)])
             there &= flat[found[-1]] == numbers_there
-        inner, further = (numbers[place[there]] for place in found)
-        return WallNodes(numbers[nodes[there]], inner, further, shares[there])
+        chosen = np.flatnonzero(there)
+        # in the order of memory
+        chosen = chosen[np.argsort(numbers[nodes[chosen]], kind="stable")]
+        inner, further = (numbers[place[chosen]] for place in found)
+        return WallNodes(numbers[nodes[chosen]], inner, further, shares[chosen])
 
     def in_tiles(self, ids: Integers, nodes: Nodes) -> WallNodes:
         """Those in some tiles, numbered through.
