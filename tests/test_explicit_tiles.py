@@ -76,16 +76,21 @@ def functions(x, kind, half, dim):
     return result
 
 
-def continued(means, shares):
-    """Averages of nodes, 0 where there are none, continued linearly to the walls of a lattice."""
+def continued(means, volumes, shares):
+    """Averages of nodes, continued to the walls of a lattice where the next two are not light."""
     result = means.copy()
     for k in range(means.ndim):
         for upper in (False, True):
             for layer, share in enumerate(shares[k]):
-                a, new = (np.moveaxis(f, k, 0)[:: -1 if upper else 1] for f in (means, result))
-                limit = 0.1 * a[layer]
-                difference = np.clip(a[layer] - a[layer + 1], -limit, limit)
-                there = (a[layer] != 0) & (a[layer + 1] != 0)
+                a, V, new = (
+                    np.moveaxis(f, k, 0)[:: -1 if upper else 1] for f in (means, volumes, result)
+                )
+                limit = 2 * (a[layer + 1] - a[layer + 2])
+                difference = np.clip(
+                    a[layer] - a[layer + 1], np.minimum(limit, 0), np.maximum(limit, 0)
+                )
+                least = 1e-8 * V[layer]
+                there = (least > 0) & (V[layer + 1] > least) & (V[layer + 2] > least)
                 new[layer] += np.where(there, share * difference, 0.0)
     return result
 
@@ -157,7 +162,7 @@ def test_sums_in_tiles_are_plain_sums(basis, dim):
     V_0 = everywhere(body, "V_0")
     in_a_cell = round((np.prod(size / CELLS) * len(x) / V_0.sum()) ** (1 / dim))
     shares = [wall_shares(KINDS[basis], CELLS, half[k], in_a_cell) for k in range(dim)]
-    expected = continued(expected, shares)
+    expected = continued(expected, volumes, shares)
     heavy = volumes[at] > 1e-6 * volumes.max()
     assert scalar.x.array[heavy] == pytest.approx(expected[at][heavy], rel=1e-5)
     engine.finish(again=False, keep=True, anew=False)
