@@ -23,7 +23,7 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import MaterialPoints, _compat, forms
-from fenicsmpm.formulations import asgs, mixed, mixed_space
+from fenicsmpm.formulations import Unknown, asgs, mixed
 from fenicsmpm.materials import NeoHookean
 
 PER_CELL = 12
@@ -95,25 +95,24 @@ def measure(dim, cells, deformed, threads, repeats):
         )
         F = fem.Function(fem.functionspace(domain, element))
         F.x.array[:] = body["F"].ravel()
-    W = mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
-    U.x.array[:] = 1e-3 / n * rng.standard_normal(len(U.x.array))
+    z = Unknown(domain, "u", "p")
+    z.U.x.array[:] = 1e-3 / n * rng.standard_normal(len(z.U.x.array))
     law = NeoHookean(E=70.0, nu=0.5)
     cells_dx = ufl.dx(domain=domain, metadata=rule)
 
     def residual(points):
-        return mixed(U, V, points, law) + asgs(U, V, points, law)
+        return mixed(z, points, law) + asgs(z, points, law)
 
     def timed(function):
         start = time.perf_counter()
         return function(), time.perf_counter() - start
 
     R, compile_R = timed(lambda: forms.form(residual(body)))
-    J, compile_J = timed(lambda: forms.form(ufl.derivative(residual(body), U)))
+    J, compile_J = timed(lambda: forms.form(ufl.derivative(residual(body), z.U)))
     theirs = residual(OverCells(domain, cells_dx, F))
     R_dolfinx = fem.form(theirs, jit_options={"timeout": 600})
     J_dolfinx, compile_dolfinx = timed(
-        lambda: fem.form(ufl.derivative(theirs, U), jit_options={"timeout": 600})
+        lambda: fem.form(ufl.derivative(theirs, z.U), jit_options={"timeout": 600})
     )
     A = forms.create_matrix(J)
     B = fem.create_matrix(J_dolfinx)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Time and memory of a step of the bending beam, stage by stage.
 
-Case 1 of the demo `bending_beam.py`: cells of 0.25 m, 12 points a cell, ASGS. Medians over some
+Case 1 of the study `columns.py`: cells of 0.25 m, 12 points a cell, ASGS. Medians over some
 steps after a few to warm up.
 """
 
@@ -13,8 +13,8 @@ import machine
 import numba
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
-import bending_beam
+sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
+import columns
 
 STAGES = ("map", "predict", "matrix pattern", "assembly", "linear solver", "convect")
 
@@ -34,7 +34,7 @@ def main():
     options = parser.parse_args()
     numba.set_num_threads(options.threads)
     print(machine.describe())
-    sim = bending_beam.build(bending_beam.beam(h=options.size, per_cell=options.points))
+    sim = columns.build("bending_beam", h=options.size, per_cell=options.points)
     body = sim.bodies[0]
     cells = len(np.unique(body.cell))
     for _ in range(3):

@@ -21,7 +21,7 @@ import tempfile
 from mpi4py import MPI
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
 from fenicsmpm import ExplicitMPM, basis, formulations, points
 from fenicsmpm.materials import (
@@ -63,13 +63,13 @@ def explicit_step(dim, name):
     cells = (mesh.CellType.quadrilateral, mesh.CellType.hexahedron)[dim - 2]
     create = (mesh.create_rectangle, mesh.create_box)[dim - 2]
     domain = create(MPI.COMM_WORLD, [(0,) * dim, (1,) * dim], [8] * dim, cells)
-    body = points.lattice(domain, 1 / 16, inside=lambda x: x.max(axis=1) < 0.75)
+    body = points.lattice(domain, 1 / 16, inside=lambda x: x.max(axis=0) < 0.75)
     law = LAWS[name]()
     basis.use(body, "quadratic")
     formulations.set_initial_state(body, density=1000.0)
-    V = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
-    R = formulations.internal_force(ufl.TestFunction(V), body, law)
-    ExplicitMPM(R, fem.Function(V), body).step()
+    z = formulations.Unknown(domain, "v")
+    R = formulations.internal_force(z.test.v, body, law)
+    ExplicitMPM(R, z, body).step()
 
 
 def starts(dim, name):

@@ -19,6 +19,7 @@ from fenicsmpm import (
     simulation,
     solvers,
     transfer,
+    verification,
 )
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, RigidBox, UnstableError
@@ -42,6 +43,7 @@ __all__ = [
     "simulation",
     "solvers",
     "transfer",
+    "verification",
 ]
 
 # Ranks share the cores: unless the user says otherwise, each assembles with one thread.

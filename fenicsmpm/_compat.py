@@ -9,25 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import cpp, fem, jit
+from dolfinx import cpp, fem
 from dolfinx.mesh import GhostMode, create_cell_partitioner
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
-
-def compile_form(comm: Any, form: ufl.Form, jit_options: dict[str, Any]) -> tuple[Any, Any]:
-    """Compile a UFL form with FFCx once on all ranks.
-
-    Args:
-        comm: MPI communicator over which the compilation is shared (rank 0 compiles).
-        form: UFL form; any mesh of it may be a pure UFL one.
-        jit_options: options of ``dolfinx.jit.ffcx_jit``.
-
-    Returns:
-        The ``ufcx_form`` C object and the CFFI module that keeps it alive.
-    """
-    compiled, module, _ = jit.ffcx_jit(comm, form, {"scalar_type": np.float64}, jit_options)
-    return compiled, module
+from fenicsmpm import _jit
 
 
 def kernel_address(compiled: Any, module: Any) -> int:
@@ -37,6 +24,20 @@ def kernel_address(compiled: Any, module: Any) -> int:
     """
     function = compiled.form_integrals[0].tabulate_tensor_float64
     return int(module.ffi.cast("intptr_t", function))
+
+
+def collapsed(
+    space: fem.FunctionSpace,
+) -> tuple[fem.FunctionSpace, npt.NDArray[np.int32]]:
+    """A part of a space as a space of its own, and its dofs in the whole one, ``(n,)``.
+
+    Their array comes in a list from 0.10 on.
+
+    Args:
+        space: part of a mixed or blocked space.
+    """
+    result, dofs = space.collapse()
+    return result, np.asarray(dofs, dtype=np.int32).ravel()
 
 
 def bc_dofs(bc: fem.DirichletBC) -> npt.NDArray[np.int32]:
@@ -139,13 +140,20 @@ class CompiledForm:
             name: value for name, value in options.items() if value is not None
         }
         compiler_options = {"scalar_type": np.float64} | options.pop("form_compiler_options")
-        self._compiled = fem.compile_form(
-            mesh.comm, form, form_compiler_options=compiler_options, **options
-        )
+        self._compiled = _jit.open_form(mesh.comm, form, compiler_options, options["jit_options"])
         self._spaces = [a.ufl_function_space() for a in form.arguments()]
         original = self._compiled.ufl_form
         self._coefficients = {c: c for c in extract_coefficients(original)}
         self._constants = {c: c for c in extract_constants(original)}
+
+    def facet_kernels(self) -> npt.NDArray[np.int64] | None:
+        """Addresses of the functions of interior facets; None if there are others, too."""
+        form, module = self._compiled.ufcx_form, self._compiled.module
+        first, last = form.form_integral_offsets[2], form.form_integral_offsets[3]
+        if first > 0:
+            return None
+        functions = [form.form_integrals[i].tabulate_tensor_float64 for i in range(last)]
+        return np.array([int(module.ffi.cast("intptr_t", f)) for f in functions], dtype=np.int64)
 
     def over(self, entities: dict[str, npt.NDArray[np.int32]]) -> fem.Form:
         """The form with integrals over given integration entities, by integral type."""

@@ -5,7 +5,7 @@ from mpi4py import MPI
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
 from fenicsmpm import (
     ImplicitMPM,
@@ -14,7 +14,7 @@ from fenicsmpm import (
     formulations,
     points,
 )
-from fenicsmpm.formulations import EnergyMomentum, Midpoint, Response, stress_power
+from fenicsmpm.formulations import EnergyMomentum, Midpoint, Response, Unknown, stress_power
 from fenicsmpm.materials import Hencky, VonMises
 
 E, NU, DENSITY = 100.0, 0.3, 2.0
@@ -45,35 +45,37 @@ def block(dim=2, functions="linear", comm=MPI.COMM_SELF, per_cell=4):
     create = mesh.create_rectangle if dim == 2 else mesh.create_box
     options = {"partitioner": basis.shared_vertex_partitioner}
     domain = create(comm, [lower, upper], cells, kind, **options)
-    middle = np.array([2.2, 1.9, 2.1][:dim])
-    half = np.array([1.0, 0.5, 0.5][:dim])
+    middle = np.array([2.2, 1.9, 2.1][:dim])[:, None]
+    half = np.array([1.0, 0.5, 0.5][:dim])[:, None]
     spacing = 1 / per_cell
-    body = points.lattice(domain, spacing, inside=lambda x: np.all(np.abs(x - middle) < half, 1))
+
+    def within(x):
+        return np.all(np.abs(x[:dim] - middle) < half, axis=0)
+
+    body = points.lattice(domain, spacing, inside=within)
     if functions == "gimp":
         basis.use(body, "gimp", spacing / 2)
     elif functions == "quadratic":
         basis.use(body, "quadratic")
     gradient = np.zeros((dim, dim))
     gradient[0, 1], gradient[1, 0], gradient[0, 0] = -1.5, 2.0, 1.0
-    formulations.set_initial_state(
-        body, DENSITY, lambda x: (x - middle) @ gradient.T + np.array([1.5, 0.3, 0.0][:dim])
-    )
+    flight = np.array([1.5, 0.3, 0.0][:dim])[:, None]
+    formulations.set_initial_state(body, DENSITY, lambda x: gradient @ (x[:dim] - middle) + flight)
     return body
 
 
 def simulation(body, material, scheme=Midpoint, kind=ImplicitMPM, dt=0.05, **options):
-    space = fem.functionspace(body.mesh, ("Lagrange", 1, (body.x.shape[1],)))
-    U, V = fem.Function(space), ufl.TestFunction(space)
-    time = scheme(U, dt=dt, **options)
+    z = Unknown(body.mesh, "u")
+    time = scheme(z, dt=dt, **options)
     if scheme is Midpoint:
-        stress = EnergyMomentum(material, body, U)
-        power = stress.power(V)
+        stress = EnergyMomentum(material, body, z)
+        power = stress.power()
     else:
-        stress = Response(material, body, formulations.Kinematics(U, body).F)
-        power = stress_power(stress.P, V, body)
-    R = power + time.inertia(V, body)
-    newton = {"rtol": 1e-12, "atol": 1e-14, "line_search": True}
-    return kind(R, U, time, body, updates={body: stress.updates}, newton=newton)
+        stress = Response(material, body, formulations.Kinematics(z.u, body).F)
+        power = stress_power(stress.P, z.test.u, body)
+    R = power + time.inertia(body)
+    newton = {"rtol": 1e-12, "line_search": True}
+    return kind(R, z, time, body, newton=newton)
 
 
 def total_energy(body):

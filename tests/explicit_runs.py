@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Explicit simulations for tests: bodies with laws, gravity and loads on one space."""
 
-import ufl
 from dolfinx import fem
 
 from fenicsmpm import ExplicitMPM, basis, formulations
@@ -13,15 +12,19 @@ def use(points, name):
         return
     if name == "gimp":
         dim = points.mesh.geometry.dim
-        size = (points.volume / max(points.size_global, 1)) ** (1 / dim)
+        size = (points.volume() / max(points.size_global, 1)) ** (1 / dim)
         basis.use(points, name, half_size=size / 2)
     else:
         basis.use(points, name)
 
 
 def simulate(V, laws, *, functions="quadratic", gravity=None, fbar="default", loads=(), **options):
-    """A simulation of bodies by their laws; loads have their forces in a field "force" [N]."""
-    v, w = fem.Function(V), ufl.TestFunction(V)
+    """A simulation of bodies by their laws, on a space or for an unknown with its conditions.
+
+    Loads have their forces in a field "force" [N].
+    """
+    z = V if isinstance(V, formulations.Unknown) else formulations.Unknown(fem.Function(V), "v")
+    w = z.V
     forms = []
     for body, law in laws.items():
         use(body, functions)
@@ -36,4 +39,4 @@ def simulate(V, laws, *, functions="quadratic", gravity=None, fbar="default", lo
                 basis.use(load, functions, **size)
         load["weight"] = 1.0
         forms.append(formulations.dead_load(w, load, load.field("force")))
-    return ExplicitMPM(sum(forms[1:], forms[0]), v, list(laws), carried=loads, **options)
+    return ExplicitMPM(sum(forms[1:], forms[0]), z, list(laws), carried=loads, **options)

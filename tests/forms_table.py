@@ -150,11 +150,10 @@ def _stabilized(name):
 
         body = _Carrier(s, dx, at)
         law = NeoHookean(E=3.0, nu=0.4, volumetric="simo-taylor")
-        V = ufl.TestFunction(s.W)
-        force = s.k
-        R = formulations.mixed(s.U, V, body, law, force=force)
+        z = formulations.Unknown(s.U, "u", "p")
+        R = formulations.mixed(z, body, law, force=s.k)
         if name:
-            R += getattr(formulations, name)(s.U, V, body, law, force=force)
+            R += getattr(formulations, name)(z, body, law, force=s.k)
         return R
 
     return residual

@@ -101,7 +101,7 @@ def test_row_sums_of_the_mass_are_sums_of_weights(dim, name):
     lumped = p2g(body, body.weight, V)
     mass = product(forms.form(u * v * body.dx), one)
     assert mass == pytest.approx(owned(lumped), abs=1e-15)
-    assert COMM.allreduce(owned(lumped).sum()) == pytest.approx(body.volume, rel=1e-14)
+    assert COMM.allreduce(owned(lumped).sum()) == pytest.approx(body.volume(), rel=1e-14)
     moments = p2g(body, body.weight[:, None] * body.x, V).array.reshape(-1, dim)
     first = COMM.allreduce((body.weight[:, None] * body.x).sum(axis=0))
     n = V.dofmap.index_map.size_local

@@ -13,16 +13,15 @@ from mpi4py import MPI
 import h5py
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
 import fenicsmpm
-from fenicsmpm import ImplicitMPM, MaterialPoints
+from fenicsmpm import ExplicitMPM, ImplicitMPM, MaterialPoints, basis
 from fenicsmpm import formulations as fm
 from fenicsmpm.io import checkpoint
 from fenicsmpm.io.checkpoint import CheckpointError
-from fenicsmpm.materials import NeoHookean
-from fenicsmpm.points import lattice, on_curve
+from fenicsmpm.materials import Hencky, NeoHookean
+from fenicsmpm.points import fill, lattice, on_curve
 
 comm = MPI.COMM_WORLD
 
@@ -33,23 +32,19 @@ def directory(tmp_path):
     return comm.bcast(tmp_path)
 
 
-def cantilever(scheme=fm.Bossak, on=comm, size=2.0, cell=mesh.CellType.triangle):
+def cantilever(scheme=fm.Bossak, on=comm, size=2.0, cell=mesh.CellType.triangle, E=250.0):
     """A block of rubber in a coarse mesh, clamped on the left, pulled up on the right."""
     domain = mesh.create_rectangle(on, [(0, 0), (size, 2)], [6, 6], cell)
-    body = lattice(domain, 0.15, inside=lambda x: (x[:, 0] < 1.2) & (abs(x[:, 1] - 0.9) < 0.4))
+    body = lattice(domain, 0.15, inside=lambda x: (x[0] < 1.2) & (abs(x[1] - 0.9) < 0.4))
     edge = on_curve(domain, (1.2, 0.5), (1.2, 1.3), spacing=0.1)
-    fm.set_initial_state(body, 1.0, velocity=lambda x: x[:, :1] * (0.0, 2.5))
-    W = fm.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
-    law = NeoHookean(250.0, 0.5)
-    scheme = scheme(U, dt=0.02)
-    R = fm.stabilized("asgs", U, V, body, law, force=scheme.force(body))
-    R -= ufl.inner(ufl.as_vector((0, 6.0)), ufl.split(V)[0]) * edge.dx
-    W0, _ = W.sub(0).collapse()
-    left = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[0], 0))
-    dofs = fem.locate_dofs_topological((W.sub(0), W0), 1, left)
-    bc = fem.dirichletbc(fem.Function(W0), dofs, W.sub(0))
-    return ImplicitMPM(R, U, scheme, body, carried=[edge], bcs=[bc])
+    fm.set_initial_state(body, 1.0, velocity=lambda x: np.array([0 * x[0], 2.5 * x[0]]))
+    z = fm.Unknown(domain, "u", "p")
+    z.fix("u", lambda x: np.isclose(x[0], 0))
+    law = NeoHookean(E, 0.5)
+    scheme = scheme(z, dt=0.02)
+    R = fm.stabilized("asgs", z, body, law, force=scheme.force(body))
+    R += fm.dead_load(z.test.u, edge, (0, 6.0))
+    return ImplicitMPM(R, z, scheme, body, carried=[edge])
 
 
 def advance(sim, steps=3):
@@ -169,17 +164,18 @@ def test_goes_on_with_another_number_of_ranks(writer, directory):
 
 
 @pytest.mark.mpi
-def test_goes_on_with_another_distribution(directory):
-    sim = advance(cantilever())
+def test_goes_on_with_another_distribution(directory, monkeypatch):
+    sim, pack = advance(cantilever()), checkpoint._pack
+
+    def of_others(state):
+        state.header["layout"] = ["of others"] * comm.size
+        for points in state.sets:
+            points.arrays["cell"] = np.full_like(points.arrays["cell"], -9)
+            points.arrays = {name: array[::-1] for name, array in points.arrays.items()}
+        return pack(state)
+
+    monkeypatch.setattr(checkpoint, "_pack", of_others)
     checkpoint.save(directory / "a.h5", sim)
-    if comm.rank == 0:
-        with h5py.File(directory / "a.h5", "r+") as file:
-            file.attrs["layout"] = ["of others"] * comm.size
-            for group in file["points"].values():
-                group["cell"][:] = -9
-                for name in group:
-                    group[name][:] = group[name][:][::-1]
-    comm.barrier()
     again = cantilever()
     checkpoint.restore(directory / "a.h5", again)
     assert_close(sim, again)
@@ -242,7 +238,7 @@ def test_other_formats_are_refused(directory):
             file.attrs["format"] = 99
             file.attrs["fenicsmpm"] = "7.0"
     comm.barrier()
-    refuse(path, sim, r"format 99 \(fenicsmpm 7.0\).*reads format 1: restore it with the version")
+    refuse(path, sim, r"format 99 \(fenicsmpm 7.0\).*reads format 2: restore it with the version")
 
 
 @pytest.mark.mpi
@@ -261,6 +257,7 @@ def test_damaged_files_are_refused(directory):
             ("rows", lambda f: f["points/1"].attrs.update(counts=[1])),
             ("names", lambda f: f.attrs.__delitem__("layout")),
             ("sets", lambda f: f.__delitem__("points")),
+            ("time", lambda f: f.attrs.__setitem__("time", 1.0)),
         ):
             (directory / f"{name}.h5").write_bytes(whole)
             with h5py.File(directory / f"{name}.h5", "r+") as file:
@@ -269,6 +266,7 @@ def test_damaged_files_are_refused(directory):
     for name in ("empty", "head", "half", "last", "text", "names", "sets"):
         refuse(directory / f"{name}.h5", sim, f"{name}.h5 is no checkpoint or is incomplete")
     refuse(directory / "hdf5.h5", sim, "no checkpoint of fenicsmpm")
+    refuse(directory / "time.h5", sim, "is damaged: it does not have its checksum")
     refuse(directory / "rows.h5", sim, "is damaged: 8 values of 'cell' for 1 points")
     refuse(directory / "none.h5", sim, "none.h5", FileNotFoundError)
 
@@ -349,3 +347,51 @@ def test_directories_that_cannot_be_made(directory):
     comm.barrier()
     with pytest.raises(OSError, match="could not be written"):
         checkpoint.save(directory / "file" / "a.h5", cantilever())
+
+
+@pytest.mark.mpi
+def test_a_flipped_byte_is_noticed(directory):
+    path = directory / "a.h5"
+    sim = advance(cantilever(), 1)
+    checkpoint.save(path, sim)
+    if comm.rank == 0:
+        whole = bytearray(path.read_bytes())
+        value = sim.bodies[0]["F"][:1].tobytes()
+        at = whole.find(value)
+        assert at > 0
+        whole[at + 3] ^= 1
+        (directory / "flipped.h5").write_bytes(whole)
+    comm.barrier()
+    refuse(directory / "flipped.h5", sim, "is damaged: it does not have its checksum")
+
+
+def block(nu=0.3, functions="quadratic", averages=None):
+    domain = mesh.create_unit_square(comm, 4, 4, mesh.CellType.quadrilateral)
+    body = fill(domain, 2)
+    basis.use(body, functions)
+    fm.set_initial_state(body, 1.0)
+    z = fm.Unknown(domain, "v")
+    return ExplicitMPM(fm.internal_force(z.V, body, Hencky(10.0, nu), fbar=averages), z, body)
+
+
+@pytest.mark.mpi
+def test_what_was_chosen_otherwise_is_said(directory, said):
+    path = directory / "a.h5"
+    checkpoint.save(path, block())
+    checkpoint.restore(path, block())
+    assert not said
+    checkpoint.restore(path, block(nu=0.2, functions="cubic"))
+    if comm.rank == 0:
+        functions, law = said
+        assert "the law of body 0 Hencky(E=10 Pa, nu=0.3); here it is Hencky(E=10 Pa, nu=0.2" in law
+        assert "grid functions of point set 0 quadratic; here it is cubic" in functions
+    said.clear()
+    for scheme in (fm.Bossak, fm.Newmark):
+        checkpoint.save(path, cantilever(scheme))
+        checkpoint.restore(path, cantilever(scheme))
+    assert not said
+    stiff = cantilever(fm.Newmark, E=260.0)
+    checkpoint.restore(path, stiff)
+    if comm.rank == 0:
+        (line,) = said
+        assert "the residual of digest" in line

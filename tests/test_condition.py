@@ -6,7 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
 from fenicsmpm import MaterialPoints, basis, forms
 from fenicsmpm import formulations as fm
@@ -39,22 +39,21 @@ def sliver(share, kind):
 def condition(remedy, share, kind, what):
     """Of the mass, or of the tangent of a step, on nodes near points."""
     body = sliver(share, kind)
-    V = fem.functionspace(body.mesh, ("Lagrange", 1, (2,)))
-    U, w = fem.Function(V), ufl.TestFunction(V)
-    scheme = fm.Midpoint(U, dt=0.1)
+    z = fm.Unknown(body.mesh, "u")
+    scheme = fm.Midpoint(z, dt=0.1)
     law = Hencky(10.0, 0.3)
-    R = scheme.inertia(w, body)
+    R = scheme.inertia(body)
     cells = ActiveCells(body)
     if remedy == "ghost":
-        R += fm.ghost_mass(w, cells, scheme, 1.0)
+        R += fm.ghost_mass(cells, scheme, 1.0)
     if what == "tangent":
-        R += fm.EnergyMomentum(law, body, U).power(w)
+        R += fm.EnergyMomentum(law, body, z).power()
         if remedy == "ghost":
-            R += fm.ghost_penalty(U, w, cells, law)
-    J = forms.form(ufl.derivative(R, U))
+            R += fm.ghost_penalty(z, cells, law)
+    J = forms.form(ufl.derivative(R, z.U))
     A = forms.petsc.assemble_matrix(J)
     if remedy == "tying":
-        tying = Tying(V, body, cells)
+        tying = Tying(z.space, body, cells)
         tying.update((), forms.inactive_dofs(J))
         A = tying.reduce(A, A.createVecLeft())
     rows, columns, values = A.getValuesCSR()

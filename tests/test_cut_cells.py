@@ -13,6 +13,7 @@ from forms_table import CELLS
 from fenicsmpm import ImplicitMPM, MaterialPoints, _compat, basis, forms, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying, correct_weights
+from fenicsmpm.forms.regions import RegionForm
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 
@@ -60,7 +61,7 @@ def test_weights_of_full_interior_cells_sum_to_their_volume():
         else:
             assert sums[cell] == old[cell]
     assert 60 < expected < np.sum(active) - 30
-    cut = np.isin(body.cell, cells.cut_cells)
+    cut = np.isin(body.cell, cells.cut_cells())
     assert cut.any() and np.array_equal(body.weight[cut], before[cut])
     assert np.array_equal(body["mass"], mass)
     # points of a cell keep their shares
@@ -88,7 +89,7 @@ def test_ways_of_loads_to_the_body_are_empty():
         edge = MaterialPoints(domain, [(0.05, 0.05)] if COMM.rank == 0 else np.empty((0, 2)), 1)
         cells = ActiveCells(body, loads=[edge] if load else [])
         correct_weights(body, cells)
-        weights.append((by_id(body, "weight"), COMM.allreduce(len(cells.cells), MPI.SUM)))
+        weights.append((by_id(body, "weight"), COMM.allreduce(len(cells.cells()), MPI.SUM)))
     (without, few), (with_load, many) = weights
     assert many > few + 1
     assert np.array_equal(without, with_load)
@@ -98,12 +99,12 @@ def test_ways_of_loads_to_the_body_are_empty():
 def test_holes_piles_and_neighbours_are_left_alone():
     domain = mesh.create_unit_square(COMM, 6, 6)
     body = points.fill(domain, 3)
-    assert len(ActiveCells(body).cut_cells) == 0
+    assert len(ActiveCells(body).cut_cells()) == 0
     sparse, crowded = body.x[:, 0] < 1 / 3, body.x[:, 0] > 2 / 3
     body["weight"] = body.weight * np.where(sparse, 0.4, np.where(crowded, 1.6, 1.1))
-    other = points.fill(domain, 1, inside=lambda x: x[:, 1] > 0.5)
+    other = points.fill(domain, 1, inside=lambda x: x[1] > 0.5)
     other.add_field("V_0", (), other.weight)
-    probe = points.fill(domain, 1, inside=lambda x: x[:, 1] < 0.2)
+    probe = points.fill(domain, 1, inside=lambda x: x[1] < 0.2)
     before = body.weight.copy()
     correct_weights(body, ActiveCells(body, other, probe))
     corrected = (body.x[:, 0] > 1 / 3) & (body.x[:, 0] < 2 / 3) & (body.x[:, 1] < 0.5)
@@ -118,6 +119,28 @@ def test_weights_of_a_stranger():
         correct_weights(body, ActiveCells(body.copy()))
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("parts", [("u", "p"), ("u",)])
+@pytest.mark.parametrize("cell", CELLS)
+def test_matrices_of_facets_are_those_of_dolfinx(cell, parts, degree, monkeypatch):
+    dim = 2 if cell in ("triangle", "quadrilateral") else 3
+    make = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
+    domain = make(COMM, *[3] * dim, CELLS[cell])
+    x = domain.geometry.x
+    x[:, :dim] += 0.03 * np.sin(7 * x[:, :dim][:, ::-1])
+    body = points.fill(domain, 2, inside=lambda x: np.linalg.norm(x, axis=0) < 0.8)
+    z = fm.Unknown(domain, *parts, degree=degree)
+    z.fix("u", lambda x: x[0] < 0.1)
+    R = fm.ghost_penalty(z, ActiveCells(body), NeoHookean(1.0, 0.3))
+    R += ufl.inner(z.u, z.test.u) * body.dx
+    a = forms.form(ufl.derivative(R, z.U))
+    assert all(form._facet_kernels is not None for form in a.region_forms)
+    own = forms.assemble_matrix(a, z.bcs).data
+    monkeypatch.setattr(RegionForm, "add_facets", lambda *arguments: False)
+    assert own == pytest.approx(forms.assemble_matrix(a, z.bcs).data, rel=1e-13, abs=1e-13)
+
+
 # --- tying -----------------------------------------------------------------------------------
 
 
@@ -126,8 +149,8 @@ def block(cell="triangle", n=8):
     dim = 2 if cell in ("triangle", "quadrilateral") else 3
     make = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
     domain = make(COMM, *[n] * dim, CELLS[cell])
-    body = points.quadrature(domain, 2, inside=lambda x: x[:, -1] < 0.5)
-    above = points.fill(domain, 1, inside=lambda x: abs(x[:, -1] - 0.5 - 0.5 / n) < 0.5 / n)
+    body = points.quadrature(domain, 2, inside=lambda x: x[dim - 1] < 0.5)
+    above = points.fill(domain, 1, inside=lambda x: abs(x[dim - 1] - 0.5 - 0.5 / n) < 0.5 / n)
     return domain, body, above
 
 
@@ -149,8 +172,8 @@ def spaces(domain):
     dim = domain.geometry.dim
     yield fem.functionspace(domain, ("Lagrange", 1)), 1
     yield fem.functionspace(domain, ("Lagrange", 1, (dim,))), dim
-    yield fm.mixed_space(domain), dim + 1
-    yield fm.mixed_space(domain, projections=True), 2 * dim + 2
+    yield fm.Unknown(domain, "u", "p").space, dim + 1
+    yield fm.Unknown(domain, "u", "p", *fm.PROJECTIONS).space, 2 * dim + 2
 
 
 @pytest.mark.mpi
@@ -174,21 +197,12 @@ def test_linear_functions_are_extended_exactly(cell):
 @pytest.mark.mpi
 def test_nothing_to_tie():
     domain, body, _ = block()
-    W = fm.mixed_space(domain)
+    W = fm.Unknown(domain, "u", "p").space
     T = Tying(W, body, ActiveCells(body)).matrix
     x, y = T.createVecs()
     x.setRandom()
     T.mult(x, y)
     assert np.array_equal(x.array_r, y.array_r)
-
-
-def clamp(W, where, value):
-    V0, _ = W.sub(0).collapse()
-    facets = mesh.locate_entities_boundary(W.mesh, W.mesh.topology.dim - 1, where)
-    dofs = fem.locate_dofs_topological((W.sub(0), V0), W.mesh.topology.dim - 1, facets)
-    g = fem.Function(V0)
-    g.interpolate(value)
-    return fem.dirichletbc(g, dofs, W.sub(0))
 
 
 @pytest.mark.mpi
@@ -197,30 +211,27 @@ def test_prescribed_homogeneous_deformation(cell):
     """Data on the lower and left sides, constrained nodes among those that are tied from."""
     domain, body, above = block(cell, n=2)
     dim = domain.geometry.dim
-    W = fm.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
+    z = fm.Unknown(domain, "u", "p")
     law = NeoHookean(E=3.0, nu=0.3)
     gradient = np.array([[0.1, 0.05, 0.0], [0.02, -0.08, 0.1], [0.0, 0.1, 0.05]])[:dim, :dim]
     J = np.linalg.det(np.eye(dim) + gradient)
-    exact = fem.Function(W)
+    exact = fem.Function(z.space)
     exact.sub(0).interpolate(lambda x: gradient @ x[:dim])
     exact.sub(1).interpolate(lambda x: np.full(x.shape[1], law.kappa * (J - 1)))
     # full cells' nodes and, on the left, some that would be tied otherwise
-    bcs = [
-        clamp(W, lambda x: np.isclose(x[0], 0), lambda x: gradient @ x[:dim]),
-        clamp(W, lambda x: np.isclose(x[dim - 1], 0), lambda x: gradient @ x[:dim]),
-    ]
+    z.fix("u", lambda x: np.isclose(x[0], 0), lambda x: gradient @ x[:dim])
+    z.fix("u", lambda x: np.isclose(x[dim - 1], 0), lambda x: gradient @ x[:dim])
     # loads that keep it in equilibrium: its residual
-    R = fm.mixed(U, V, body, law)
-    forcing = ufl.replace(R, {U: exact})
+    R = fm.mixed(z, body, law)
+    forcing = ufl.replace(R, {z.U: exact})
     cells = ActiveCells(body, above)
-    solver = NewtonSolver(R - forcing, U, bcs, tying=Tying(W, body, cells))
+    solver = NewtonSolver(R - forcing, z.U, z.bcs, tying=Tying(z.space, body, cells))
     result = solver.solve()
     assert result.iterations <= 6
     assert solver.solve().iterations <= 1  # data of several ranks may differ by round-off
-    touched = np.unique(W.dofmap.list[cells.cells])
-    owned = touched[touched < W.dofmap.index_map.size_local]
-    assert U.x.array[owned] == pytest.approx(exact.x.array[owned], abs=1e-9)
+    touched = np.unique(z.space.dofmap.list[cells.cells()])
+    owned = touched[touched < z.space.dofmap.index_map.size_local]
+    assert z.U.x.array[owned] == pytest.approx(exact.x.array[owned], abs=1e-9)
 
 
 @pytest.mark.mpi
@@ -234,26 +245,21 @@ def test_sliver_follows_the_block(thickness):
     domain, body, _ = block(n=n)
     y = 0.5 + thickness / n
     edge = points.on_curve(domain, (0, y), (1, y), spacing=0.5 / n)
-    W = fm.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
+    z = fm.Unknown(domain, "u", "p")
     law = NeoHookean(E, nu)
     cells = ActiveCells(body, edge)
-    R = fm.stabilized("asgs", U, V, body, law) + fm.dead_load(V, edge, (0.0, t))
-    rollers = []
+    R = fm.stabilized("asgs", z, body, law) + fm.dead_load(z.test.u, edge, (0.0, t))
     for axis in (0, 1):
-        V0, _ = W.sub(0).sub(axis).collapse()
-        facets = mesh.locate_entities_boundary(domain, 1, lambda x, a=axis: np.isclose(x[a], 0))
-        dofs = fem.locate_dofs_topological((W.sub(0).sub(axis), V0), 1, facets)
-        rollers.append(fem.dirichletbc(fem.Function(V0), dofs, W.sub(0).sub(axis)))
-    result = NewtonSolver(R, U, rollers, tying=Tying(W, body, cells)).solve()
+        z.fix("u", lambda x, a=axis: np.isclose(x[a], 0), component=axis)
+    result = NewtonSolver(R, z.U, z.bcs, tying=Tying(z.space, body, cells)).solve()
     assert result.iterations <= 5
-    exact = fem.Function(W)
+    exact = fem.Function(z.space)
     stiffness = E / (1 - nu**2)
     exact.sub(0).interpolate(lambda x: t / stiffness * np.array([-nu / (1 - nu) * x[0], x[1]]))
-    dofs = np.unique(W.sub(0).dofmap.list[cells.cells])
+    dofs = np.unique(z.space.sub(0).dofmap.list[cells.cells()])
     scale = abs(t) / stiffness
     # the linear theory is exact up to the strain; the load's lever counts where it stands
-    assert U.x.array[dofs] == pytest.approx(
+    assert z.U.x.array[dofs] == pytest.approx(
         exact.x.array[dofs], abs=scale * (5e-3 if thickness < 0.1 else 0.15)
     )
 
@@ -264,25 +270,23 @@ def test_free_fall_with_tied_nodes_and_corrected_weights(stabilization):
     """All points fall by g t^2 / 2, whatever cells they cut."""
     domain = mesh.create_unit_square(COMM, 12, 12)
     g, dt, steps = np.array([0.1, -0.4]), 0.05, 12
-    body = points.lattice(
-        domain, 0.031, inside=lambda x: np.linalg.norm(x - [0.48, 0.54], axis=1) < 0.44
-    )
+    body = points.lattice(domain, 0.031, inside=lambda x: np.hypot(x[0] - 0.48, x[1] - 0.54) < 0.44)
     fm.set_initial_state(body, 3.0)
     start = by_id(body, "x")
     mass = by_id(body, "mass")
-    W = fm.mixed_space(domain, projections=stabilization == "osgs")
-    U, V = fem.Function(W), ufl.TestFunction(W)
+    projections = fm.PROJECTIONS if stabilization == "osgs" else ()
+    z = fm.Unknown(domain, "u", "p", *projections)
     law = NeoHookean(E=20.0, nu=0.3)
-    scheme = fm.GeneralizedAlpha(U, dt=dt)
+    scheme = fm.GeneralizedAlpha(z, dt=dt)
     force = scheme.force(body, fem.Constant(domain, g))
     cells = ActiveCells(body)
     sim = ImplicitMPM(
-        fm.stabilized(stabilization, U, V, body, law, force=force),
-        U,
+        fm.stabilized(stabilization, z, body, law, force=force),
+        z,
         scheme,
         body,
-        adapt=lambda b: correct_weights(b, cells),
-        newton={"tying": Tying(W, body, cells)},
+        observers=[lambda sim, step: correct_weights(body, cells)],
+        newton={"tying": Tying(z.space, body, cells)},
     )
     for _ in range(steps):
         sim.step()
@@ -291,6 +295,44 @@ def test_free_fall_with_tied_nodes_and_corrected_weights(stabilization):
         np.broadcast_to(g * time**2 / 2, start.shape), abs=1e-8
     )
     assert np.array_equal(by_id(body, "mass"), mass)
+
+
+@pytest.mark.mpi
+def test_bodies_that_touch_fill_cells_together():
+    """Two halves of a disc, between which no cell is full of one, have ties and a flight of one."""
+    domain = mesh.create_unit_square(COMM, 12, 12)
+    dt, velocity = 0.05, np.array([0.3, 0.2])
+
+    def halves(*sides):
+        bodies = []
+        for side in sides:
+            body = points.lattice(
+                domain, 0.031, inside=lambda x: np.hypot(x[0] - 0.45, x[1] - 0.47) < 0.35
+            )
+            body.remove(lambda x, side=side: side * (x[0] + x[1] / 3 - 0.6) > 0)
+            fm.set_initial_state(body, 3.0, velocity)
+            bodies.append(body)
+        return bodies
+
+    both, whole = halves(1, -1), halves(0)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    assert Tying(V, both, ActiveCells(*both)).matrix.equal(
+        Tying(V, whole, ActiveCells(*whole)).matrix
+    )
+    z, law = fm.Unknown(domain, "u", "p"), NeoHookean(E=20.0, nu=0.4)
+    scheme = fm.Bossak(z, dt=dt)
+    R = sum(fm.stabilized("asgs", z, b, law, scheme=scheme) for b in both)
+    alone = {"tying": Tying(z.space, both[0], ActiveCells(*both))}
+    with pytest.raises(ValueError, match="give Tying all of them"):
+        ImplicitMPM(R, z, scheme, both, newton=alone)
+    start = [by_id(body, "x") for body in both]
+    newton = {"tying": Tying(z.space, both, ActiveCells(*both))}
+    sim = ImplicitMPM(R, z, scheme, both, newton=newton)
+    for _ in range(4):
+        sim.step()
+    for body, x in zip(both, start, strict=True):
+        expected = np.broadcast_to(4 * dt * velocity, x.shape)
+        assert by_id(body, "x") - x == pytest.approx(expected, abs=1e-9)
 
 
 def test_nodes_are_tied_in_the_space_of_the_unknown():
@@ -336,15 +378,15 @@ def test_reduced_matrix_is_made_once_and_nothing_is_left_behind(capfd):
 def test_what_cannot_be_tied():
     domain, body, above = block()
     cells = ActiveCells(body, above)
-    W = fm.mixed_space(domain)
+    W = fm.Unknown(domain, "u", "p").space
     with pytest.raises(ValueError, match="no cell is filled to 2"):
         Tying(W, body, cells, threshold=2.0)
     with pytest.raises(ValueError, match="positive fraction on, not 0"):
         Tying(W, body, cells, threshold=0.0)
-    with pytest.raises(ValueError, match="active cells of the body"):
+    with pytest.raises(ValueError, match="active cells of its bodies"):
         Tying(W, body.copy(), cells)
     discontinuous = (fem.functionspace(domain, ("DG", degree)) for degree in (0, 1))
-    for space in (fm.mixed_space(domain, degree=2), *discontinuous):
+    for space in (fm.Unknown(domain, "u", "p", degree=2).space, *discontinuous):
         with pytest.raises(ValueError, match="tying is for linear functions"):
             Tying(space, body, cells)
     # a threshold that only full cells reach changes nothing here
@@ -362,7 +404,7 @@ def test_nodes_without_load_or_mass_stay():
     assert result.iterations == 1  # a linear problem
     # the constant function is in the space: the integrals of both sides are equal
     left = forms.assemble_scalar(forms.form(u * body.dx))
-    assert left == pytest.approx(body.volume + 0.5 * above.volume)
+    assert left == pytest.approx(body.volume() + 0.5 * above.volume())
 
 
 def test_tied_nodes_of_functions_that_reach_beyond_active_cells():
@@ -370,7 +412,7 @@ def test_tied_nodes_of_functions_that_reach_beyond_active_cells():
     domain = mesh.create_rectangle(
         MPI.COMM_SELF, [(0, 0), (4, 4)], [4, 4], mesh.CellType.quadrilateral
     )
-    body = points.lattice(domain, 0.5, inside=lambda x: np.all(x < 2, axis=1))
+    body = points.lattice(domain, 0.5, inside=lambda x: np.all(x < 2, axis=0))
     basis.use(body, "gimp", 0.25)
     body.move(body.x + (1e-5, 0))
     space = fem.functionspace(domain, ("Lagrange", 1, (2,)))
@@ -383,3 +425,37 @@ def test_tied_nodes_of_functions_that_reach_beyond_active_cells():
     tying.extend(x)
     seen = (X[:, 0] < 3.1) & (X[:, 1] < 2.1)
     assert x.array_r[::2][seen] == pytest.approx(linear[seen])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [10, 20])
+def test_a_stretched_block_needs_corrected_weights(steps):
+    """Force and stretch of an incompressible block pulled by its edge, whatever the steps are."""
+    n, E, end = 16, 3.0, 2.0
+    domain = mesh.create_rectangle(COMM, [(0, 0), (3, 1.25)], [3 * n, 5 * n // 4])
+    body = points.fill(domain, 6, inside=lambda x: (x[0] < 2) & (x[1] < 1))
+    fm.set_initial_state(body, 1e-3)
+    edge = points.on_curve(domain, (2, 0), (2, 1), spacing=0.25 / n)
+    edge.add_field("u", (2,))
+    z, law, pull = fm.Unknown(domain, "u", "p"), NeoHookean(E, 0.5), fem.Constant(domain, 0.0)
+    for axis in (0, 1):
+        z.fix("u", lambda x, a=axis: np.isclose(x[a], 0), component=axis)
+    scheme, stiffness = fm.Bossak(z, dt=end / steps), 30 * E * n
+    cells = ActiveCells(body, loads=[edge])
+    R = fm.stabilized("asgs", z, body, law, force=scheme.force(body))
+    R += stiffness * (edge.field("u")[0] + z.u[0] - pull) * z.test.u[0] * edge.dx
+
+    def data(start, end_of_step):
+        pull.value = 0.4 * end_of_step / end
+
+    sim = ImplicitMPM(
+        R, z, scheme, body, carried=[edge], data=data,
+        observers=[lambda sim, step: correct_weights(body, cells)],
+        newton={"tying": Tying(z.space, body, cells)},
+    )  # fmt: skip
+    for _ in sim.run(end):
+        pass
+    force = stiffness * np.sum((0.4 - edge["u"][:, 0]) * edge.weight)
+    # plane strain: mu (1.2^2 - 1.2^-2), over the thinner end
+    assert force == pytest.approx(E / 3 * (1.2**2 - 1.2**-2) / 1.2, rel=0.01)
+    assert body["F"][:, 0, 0].mean() == pytest.approx(1.2, rel=2e-3)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What the energy-momentum stress and its mapping cannot use."""
 
-import re
-
 from mpi4py import MPI
 
 import numpy as np
@@ -17,8 +15,14 @@ from fenicsmpm import (
     forms,
     formulations,
 )
-from fenicsmpm.cells import ActiveCells, Tying
-from fenicsmpm.formulations import EnergyMomentum, Midpoint, Response
+from fenicsmpm.formulations import (
+    EnergyMomentum,
+    Kinematics,
+    Midpoint,
+    Response,
+    Unknown,
+    stress_power,
+)
 from fenicsmpm.materials import Law, NewtonianFluid, VonMises, compiled
 from fenicsmpm.solvers import EffectiveProjection, LinearSolverError
 
@@ -39,7 +43,7 @@ def test_laws_that_forms_cannot_use():
 
 def test_what_energy_momentum_needs():
     body = block()
-    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
+    z = Unknown(body.mesh, "u")
     plastic = MATERIALS["plastic"]
     state = {"eps_p": ((), 0.0)}
     law = Law(
@@ -47,34 +51,48 @@ def test_what_energy_momentum_needs():
         energy=plastic.energy, tangent=plastic.tangent,
     )  # fmt: skip
     with pytest.raises(ValueError, match="needs a field 'dissipation'"):
-        EnergyMomentum(law, body, U)
-    EnergyMomentum(plastic, body, U)
+        EnergyMomentum(law, body, z)
+    EnergyMomentum(plastic, body, z)
     with pytest.raises(ValueError, match="another EnergyMomentum"):
-        EnergyMomentum(plastic, body, U)
+        EnergyMomentum(plastic, body, z)
+
+
+@pytest.mark.parametrize("material", ["Hencky", "plastic", "UFL"])
+def test_fields_renew_themselves(material):
+    """Stress and work are those of the end of the step, without any ``updates``."""
+    body = block()
+    law = MATERIALS[material]
+    sim = simulation(body, law)
+    before = body.snapshot()
+    sim.step()
+    present = Response(law, body, body.field("F"))
+    for name, value in {"S": present.S, "work": present.work}.items():
+        assert np.abs(body[name] - before[name]).max() > 0.1
+        assert body[name] == pytest.approx(forms.evaluate(value, body), abs=1e-9 * E)
 
 
 @pytest.mark.parametrize("material", ["Hencky", "plastic", "UFL"])
 def test_fields_that_nothing_renews(material):
     body = block()
-    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
-    V = ufl.TestFunction(U.function_space)
-    time = Midpoint(U, dt=0.1)
-    R = EnergyMomentum(MATERIALS[material], body, U).power(V)
-    R -= ufl.inner(time.force(body), V) * body.dx
-    with pytest.raises(ValueError, match=r"pass updates=\{body: stress.updates\}"):
-        ImplicitMPM(R, U, time, body)
-
-
-def test_tied_nodes_of_several_bodies():
-    body = block()
     other = body.copy()
-    space = fem.functionspace(body.mesh, ("Lagrange", 1, (2,)))
-    U, V = fem.Function(space), ufl.TestFunction(space)
-    time = Midpoint(U, dt=0.1)
-    R = sum(ufl.inner(time.force(b), V) * b.dx for b in (body, other))
-    newton = {"tying": Tying(space, body, ActiveCells(body))}
-    with pytest.raises(ValueError, match="the cells that one body fills"):
-        ImplicitMPM(R, U, time, [body, other], newton=newton)
+    z = Unknown(body.mesh, "u")
+    time = Midpoint(z, dt=0.1)
+    R = EnergyMomentum(MATERIALS[material], other, z).power()
+    R -= ufl.inner(time.force(body), z.test.u) * body.dx
+    with pytest.raises(ValueError, match=r"'S' changes in each step, .* nobody would renew"):
+        ImplicitMPM(R, z, time, body)
+
+
+def test_fields_that_are_renewed_twice():
+    body = block()
+    z = Unknown(body.mesh, "u")
+    time = Midpoint(z, dt=0.1)
+    F = Kinematics(z.u, body).F
+    R = time.inertia(body)
+    for _ in range(2):
+        R += stress_power(Response(MATERIALS["plastic"], body, F).P, z.test.u, body)
+    with pytest.raises(ValueError, match="is renewed twice"):
+        ImplicitMPM(R, z, time, body)
 
 
 def test_state_and_parameters_that_change():
@@ -94,29 +112,27 @@ def test_state_and_parameters_that_change():
 
 
 def test_shares_beyond_their_range():
-    space = fem.functionspace(block().mesh, ("Lagrange", 1, (2,)))
-    U = fem.Function(space)
+    z = Unknown(block().mesh, "u")
     for lumping in (-0.1, 1.1, np.nan):
         with pytest.raises(ValueError, match="share of the lumped mass"):
-            Midpoint(U, dt=0.1, lumping=lumping)
+            Midpoint(z, dt=0.1, lumping=lumping)
 
 
 def test_inertia_and_mapping_with_different_masses():
     body = block()
-    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
-    V = ufl.TestFunction(U.function_space)
+    z = Unknown(body.mesh, "u")
     with pytest.raises(ValueError, match=r"a share of 0.3 of .* lumping=1, or take scheme.inertia"):
-        Midpoint(U, dt=0.1, lumping=0.3).lumped(V, body)
-    Midpoint(U, dt=0.1, lumping=1.0).lumped(V, body)
+        Midpoint(z, dt=0.1, lumping=0.3).lumped(body)
+    Midpoint(z, dt=0.1, lumping=1.0).lumped(body)
 
 
 def test_linear_continuation_needs_the_lumped_mass():
     body = block()
-    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
-    V = ufl.TestFunction(U.function_space)
-    time = Midpoint(U, dt=0.1)
+    z = Unknown(body.mesh, "u")
+    time = Midpoint(z, dt=0.1)
+    R = ufl.inner(time.force(body), z.test.u) * body.dx
     with pytest.raises(ValueError, match="lumping = 1"):
-        ImplicitMPM(ufl.inner(time.force(body), V) * body.dx, U, time, body, taylor=True)
+        ImplicitMPM(R, z, time, body, taylor=True)
 
 
 @pytest.mark.parametrize("mass", [np.nan, 0.0])
@@ -140,7 +156,7 @@ def test_few_points_still_map():
     )
     x = [[0.31, 0.42], [1.2, 1.7], [1.3, 1.6]]
     body = MaterialPoints(domain, x, 0.1)
-    formulations.set_initial_state(body, 1.0, lambda x: np.column_stack([1 + x[:, 1], x[:, 0]]))
+    formulations.set_initial_state(body, 1.0, lambda x: np.array([1 + x[1], x[0]]))
     space = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     v = fem.Function(space)
     EffectiveProjection([body], space, 0.0).project({"v": v})
@@ -148,8 +164,8 @@ def test_few_points_still_map():
     assert there == pytest.approx(body["v"], abs=1e-10)
 
 
-def test_wrong_space_says_what_is_needed():
+def test_wrong_unknown_says_what_is_needed():
     body = block()
-    U = fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))))
-    with pytest.raises(ValueError, match=re.escape("mixed space of displacement and pressure")):
-        formulations.mixed(U, ufl.TestFunction(U.function_space), body, None)
+    z = Unknown(body.mesh, "u")
+    with pytest.raises(ValueError, match=r"needs the parts u, p of the unknown, which has u$"):
+        formulations.mixed(z, body, None)

@@ -14,7 +14,7 @@ def test_pic_flip_and_a_blend():
     """Nothing accelerates: FLIP leaves velocities, PIC takes those of the grid."""
     v = {}
     for flip in (1.0, 0.0, 0.25):
-        body, V, _ = block(2, velocity=lambda x: np.sin(40 * x))
+        body, V, _ = block(2, velocity=lambda x: np.sin(40 * x[:2]))
         before = body["v"][np.argsort(body.id)]
         simulate(V, {body: RUBBER}, flip=flip, dt=1e-4, fbar=None).step()
         v[flip] = body["v"][np.argsort(body.id)]
@@ -39,7 +39,7 @@ def test_barrier_of_a_rigid_box():
 @pytest.mark.parametrize("speed", [100.0, 1e-4])
 def test_friction_by_hand(speed):
     """What friction allows, or less if that stops the slip in this step."""
-    body, V, _ = block(2, velocity=lambda x: np.tile((speed, 0.0), (len(x), 1)))
+    body, V, _ = block(2, velocity=(speed, 0.0))
     dt, lowest = 1e-4, body.x[:, 1].min()
     floor = RigidBox([-np.inf] * 2, [np.inf, lowest - 0.006], reach=0.02, friction=0.3)
     m = body["mass"][np.isclose(body.x[:, 1], lowest)].sum()
@@ -53,7 +53,7 @@ def test_loads_and_boxes_that_depend_on_time():
     """They are those of the beginning of each step."""
     dt, steps, times = 1e-3, 4, []
     body, V, _ = block(2)
-    load = body.select(lambda x: np.ones(len(x), dtype=bool))
+    load = body.select(lambda x: np.full(x.shape[1], True))
     load.add_field("force", (2,))
     share = load["mass"] / body["mass"].sum()
 
@@ -74,7 +74,7 @@ def test_loads_and_boxes_that_depend_on_time():
 
 
 def test_the_stable_step_knows_the_speed_of_points():
-    body, V, _ = block(2, velocity=lambda x: np.tile((3.0, 4.0), (len(x), 1)))
+    body, V, _ = block(2, velocity=(3.0, 4.0))
     still, V_still, _ = block(2)
     c = np.sqrt(RUBBER.wave_speed_modulus / 2.0)
     h = 0.1

@@ -26,12 +26,12 @@ def bend(fbar, basis):
     domain = mesh.create_box(MPI.COMM_SELF, [lower, upper], shape, mesh.CellType.hexahedron)
 
     def inside(x):
-        return (np.abs(x[:, :2]).max(axis=1) < 0.5) & (x[:, 2] < 6)
+        return (np.abs(x[:2]).max(axis=0) < 0.5) & (x[2] < 6)
 
     body = points.lattice(domain, H / 2, inside=inside)
     law = NeoHookean(E=1.7e7, nu=0.499).pointwise()
-    formulations.set_initial_state(body, 1100.0, lambda x: np.outer(x[:, 2], (5 / 3, 0, 0)))
-    tip = body.select(lambda x: (np.abs(x - (0.5, 0.5, 6)) < H / 2).all(axis=1))
+    formulations.set_initial_state(body, 1100.0, lambda x: np.outer((5 / 3, 0, 0), x[2]))
+    tip = body.select(lambda x: (np.abs(x.T - (0.5, 0.5, 6)) < H / 2).all(axis=1))
     tip.add_field("force", (3,))
     V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
     base = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 0))

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem, mesh
 
 from fenicsmpm import forms, points
-from fenicsmpm.formulations import asgs, mixed, mixed_space, ppp
+from fenicsmpm.formulations import Unknown, asgs, mixed, ppp
 from fenicsmpm.materials import NeoHookean
 
 
@@ -23,41 +23,46 @@ def problem(dim):
     rng = np.random.default_rng(2)
     body.weight[:] *= rng.uniform(0.5, 1.5, len(body))
     body.tag[:] = rng.integers(0, 2, len(body))
-    U = fem.Function(mixed_space(domain))
-    U.x.array[:] = 0.01 * rng.standard_normal(len(U.x.array))
-    return body, U, ufl.TestFunction(U.function_space)
+    z = Unknown(domain, "u", "p")
+    z.U.x.array[:] = 0.01 * rng.standard_normal(len(z.U.x.array))
+    return body, z
 
 
 RESIDUALS = {
     # name: residual, nu, degree
-    "asgs 0.5": (lambda U, V, b: asgs(U, V, b, NeoHookean(70.0, 0.5)), 0),
-    "mixed 0.5": (lambda U, V, b: mixed(U, V, b, NeoHookean(70.0, 0.5)), 1),
-    "ppp 0.5": (lambda U, V, b: ppp(U, V, b, NeoHookean(70.0, 0.5)), 2),
-    "mixed 0.4": (lambda U, V, b: mixed(U, V, b, NeoHookean(70.0, 0.4)), 2),
-    "asgs 0.4": (lambda U, V, b: asgs(U, V, b, NeoHookean(70.0, 0.4)), 2),
-    "cubic": (lambda U, V, b: U[0] * U[1] * V[0] * b.dx, 3),
-    "tagged": (lambda U, V, b: U[0] * ufl.grad(U)[1, 0] * V[1] * b.dx(1), 2),
+    "asgs 0.5": (lambda z, b: asgs(z, b, NeoHookean(70.0, 0.5)), 0),
+    "mixed 0.5": (lambda z, b: mixed(z, b, NeoHookean(70.0, 0.5)), 1),
+    "ppp 0.5": (lambda z, b: ppp(z, b, NeoHookean(70.0, 0.5)), 2),
+    "mixed 0.4": (lambda z, b: mixed(z, b, NeoHookean(70.0, 0.4)), 2),
+    "asgs 0.4": (lambda z, b: asgs(z, b, NeoHookean(70.0, 0.4)), 2),
+    "cubic": (lambda z, b: z.U[0] * z.U[1] * z.V[0] * b.dx, 3),
+    "tagged": (lambda z, b: z.U[0] * ufl.grad(z.U)[1, 0] * z.V[1] * b.dx(1), 2),
     "conditional": (
-        lambda U, V, b: ufl.conditional(ufl.lt(U[0].dx(0), 0.0), U[1], U[0]) * V[1] / 3.0 * b.dx,
+        lambda z, b: (
+            ufl.conditional(ufl.lt(z.U[0].dx(0), 0.0), z.U[1], z.U[0]) * z.V[1] / 3.0 * b.dx
+        ),
         2,
     ),
-    "sine": (lambda U, V, b: ufl.sin(U[0]) * V[0] * b.dx, math.inf),
-    "quartic": (lambda U, V, b: U[0] ** 2 * U[1] * V[0] * b.dx, math.inf),
-    "quotient": (lambda U, V, b: V[0] / (2.0 + U[0]) * b.dx, math.inf),
-    "position": (lambda U, V, b: ufl.SpatialCoordinate(b.mesh)[0] * U[0] * V[0] * b.dx, math.inf),
+    "sine": (lambda z, b: ufl.sin(z.U[0]) * z.V[0] * b.dx, math.inf),
+    "quartic": (lambda z, b: z.U[0] ** 2 * z.U[1] * z.V[0] * b.dx, math.inf),
+    "quotient": (lambda z, b: z.V[0] / (2.0 + z.U[0]) * b.dx, math.inf),
+    "position": (
+        lambda z, b: ufl.SpatialCoordinate(b.mesh)[0] * z.U[0] * z.V[0] * b.dx,
+        math.inf,
+    ),
 }
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("name", RESIDUALS)
 def test_degree_and_equality(name, dim):
-    body, U, V = problem(dim)
+    body, z = problem(dim)
     residual, degree = RESIDUALS[name]
     # a field that differs from point to point prevents any condensation
     body.add_field("zero", (), np.zeros(len(body)))
     zero = body.field("zero")
-    R = residual(U, V, body)
-    for form in (R, ufl.derivative(R, U)):
+    R = residual(z, body)
+    for form in (R, ufl.derivative(R, z.U)):
         few = forms.form(form)
         all_points = forms.form(form + zero_form(zero, form, body))
         assert few.point_integrals[0].lowered.degree == degree
@@ -87,7 +92,7 @@ def assert_same(first, second):
 
 
 def test_averages_of_quadratic_functions():
-    body, _, _ = problem(2)
+    body, _ = problem(2)
     space = fem.functionspace(body.mesh, ("Lagrange", 2))
     f = fem.Function(space)
     f.interpolate(lambda x: x[0] ** 2)
@@ -98,17 +103,18 @@ def test_averages_of_quadratic_functions():
 
 
 def test_scalar():
-    body, U, _ = problem(2)
-    form = forms.form(U[0] * U[1] * body.dx)
+    body, z = problem(2)
+    product = z.U[0] * z.U[1]
+    form = forms.form(product * body.dx)
     assert form.point_integrals[0].lowered.degree == 2
-    values = forms.evaluate(U[0] * U[1], body)
+    values = forms.evaluate(product, body)
     expected = MPI.COMM_WORLD.allreduce(body.weight @ values)
     assert forms.assemble_scalar(form) == pytest.approx(expected, rel=1e-12)
 
 
 def test_weights_that_are_not_positive():
-    body, U, V = problem(2)
-    form = forms.form(U[0] * V[0] * body.dx)
+    body, z = problem(2)
+    form = forms.form(z.U[0] * z.V[0] * body.dx)
     expected = forms.assemble_vector(form).array
     body.weight[: len(body) // 2] = 0.0  # whole cells without any weight
     first = forms.assemble_vector(form).array
@@ -118,9 +124,10 @@ def test_weights_that_are_not_positive():
 
 
 def test_it_follows_the_points():
-    body, U, V = problem(2)
+    body, z = problem(2)
     body.add_field("zero", (), np.zeros(len(body)))
     zero = body.field("zero")
+    U, V = z.U, z.V
     form = forms.form(U[1] * ufl.grad(V)[0, 0] * body.dx)
     full = forms.form((U[1] * ufl.grad(V)[0, 0] + zero * V[0]) * body.dx)
     for _ in range(3):

@@ -106,7 +106,7 @@ WRONG = {
     ),
     "another mesh": lambda s: s.f * s.dp(domain=s.other_mesh.ufl_domain()),
     "part of a mixed space": lambda s: (
-        ufl.TestFunction(formulations.mixed_space(s.mesh).sub(1)) * s.dp
+        ufl.TestFunction(formulations.Unknown(s.mesh, "u", "p").space.sub(1)) * s.dp
     ),
 }  # fmt: skip
 
@@ -146,21 +146,19 @@ def test_wrong_material():
 def test_wrong_formulation():
     s = Scene()
     law = materials.NeoHookean(E=1.0, nu=0.5)
-    W = formulations.mixed_space(s.mesh)
-    U, V = fem.Function(W), ufl.TestFunction(W)
+    z = formulations.Unknown(s.mesh, "u", "p")
     with pytest.raises(ValueError, match="'gls': use one of none, ppp, asgs, osgs"):
-        formulations.stabilized("gls", U, V, s.body, law)
-    with pytest.raises(ValueError, match="projections=True"):
-        formulations.osgs(U, V, s.body, law)
-    quadratic = formulations.mixed_space(s.mesh, projections=True, degree=2)
+        formulations.stabilized("gls", z, s.body, law)
+    with pytest.raises(ValueError, match=r"OSGS .*PROJECTIONS\) needs .*, which has u, p$"):
+        formulations.osgs(z, s.body, law)
+    quadratic = formulations.Unknown(s.mesh, "u", "p", *formulations.PROJECTIONS, degree=2)
     with pytest.raises(ValueError, match="OSGS is for continuous linear functions"):
-        formulations.osgs(fem.Function(quadratic), ufl.TestFunction(quadratic), s.body, law)
-    with pytest.raises(ValueError, match=r"f has parts of shapes \[\(\)\]: use mixed_space"):
-        formulations.mixed(s.f, s.v, s.body, law)
-    far = formulations.mixed_space(s.other_mesh)
+        formulations.osgs(quadratic, s.body, law)
+    with pytest.raises(ValueError, match=r"of shapes \[\(\)\], but .* needs \[\(2,\), \(\)\]"):
+        formulations.Unknown(s.f, "u", "p")
+    far = formulations.Unknown(s.other_mesh, "u", "p")
     with pytest.raises(ValueError, match="on different meshes"):
-        R = formulations.mixed(fem.Function(far), ufl.TestFunction(far), s.body, law)
-        forms.form(R)
+        forms.form(formulations.mixed(far, s.body, law))
 
 
 def test_weights_stay_positive():

@@ -9,8 +9,9 @@ import fenicsmpm
 ROOT = Path(fenicsmpm.__file__).parent
 # From the ground up, as in CONTRIBUTING.md
 FLOORS = [
-    "_compat", "_njit", "_garbage", "lanes", "points", "basis", "forms", "materials", "transfer",
-    "cells", "formulations", "solvers", "diagnostics", "simulation", "io", "__init__",
+    "_jit", "_compat", "_njit", "_garbage", "lanes", "points", "basis", "forms", "materials",
+    "transfer", "cells", "formulations", "solvers", "diagnostics", "simulation", "io",
+    "verification", "__init__",
 ]  # fmt: skip
 
 
@@ -39,8 +40,28 @@ def test_lower_floors_do_not_import_higher_ones():
     assert known - {"__pycache__"} == set(FLOORS)
 
 
+def test_what_looks_like_a_value_does_not_communicate():
+    """A property that is collective would hang where one rank reads it, to print it, say."""
+    properties, calls = 0, {"scatter_forward", "scatter_reverse", "raise_together", "functionspace"}
+    for file in ROOT.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            if not any("property" in ast.unparse(d) for d in node.decorator_list):
+                continue
+            properties += 1
+            called = {
+                ast.unparse(call.func).rpartition(".")[2].lower()
+                for call in ast.walk(node)
+                if isinstance(call, ast.Call)
+            }
+            found = {name for name in called if name in calls or name.startswith("all")} - {"all"}
+            assert not found and "ollective" not in (ast.get_docstring(node) or ""), node.name
+    assert properties > 50
+
+
 def test_forms_stand_alone():
     """UFL over points knows nothing of the material point method."""
-    below = {"_compat", "_njit", "_garbage", "points", "basis", "forms"}
+    below = {"_jit", "_compat", "_njit", "_garbage", "points", "basis", "forms"}
     used = {other[0] for one, other in imports() if one[0] == "forms"}
     assert used <= below

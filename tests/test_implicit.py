@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 from fenicsmpm import ImplicitMPM, formulations, points
 from fenicsmpm.cells import ActiveCells, correct_weights
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum, strain_energy
-from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark
+from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark, Unknown
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import PointsOutsideError
 from fenicsmpm.solvers import NewtonError
@@ -34,32 +34,32 @@ class Flight:
         self.centre = np.full(dim, 0.8)
 
         def inside(x):
-            return np.abs(x - self.centre).max(axis=1) < 0.4
+            return np.abs(x[:dim].T - self.centre).max(axis=1) < 0.4
 
         def v0(x):
-            v = np.tile(velocity[:dim], (len(x), 1))
-            v[:, 0] -= spin * (x[:, 1] - self.centre[1])
-            v[:, 1] += spin * (x[:, 0] - self.centre[0])
+            v = np.outer(velocity[:dim], np.ones(x.shape[1]))
+            v[0] -= spin * (x[1] - self.centre[1])
+            v[1] += spin * (x[0] - self.centre[0])
             return v
 
         self.body = points.lattice(domain, spacing or 0.8 / (12 if dim == 2 else 8), inside=inside)
         formulations.set_initial_state(self.body, 2.0, v0)
-        W = formulations.mixed_space(domain, projections=stabilization == "osgs")
-        U, V = fem.Function(W), ufl.TestFunction(W)
+        projections = formulations.PROJECTIONS if stabilization == "osgs" else ()
+        self.z = z = Unknown(domain, "u", "p", *projections)
         self.law = law = NeoHookean(E, nu)
-        self.scheme = scheme(U, dt=dt)
+        self.scheme = scheme(z, dt=dt)
         inertia = self.scheme.force(self.body, b)
         if lumped:
-            R = formulations.mixed(U, V, self.body, law)
-            R += formulations.asgs(U, V, self.body, law, force=inertia)
-            R += self.scheme.lumped(V, self.body)
+            R = formulations.mixed(z, self.body, law)
+            R += formulations.asgs(z, self.body, law, force=inertia)
+            R += self.scheme.lumped(self.body)
         else:
-            R = formulations.stabilized(stabilization, U, V, self.body, law, force=inertia)
+            R = formulations.stabilized(stabilization, z, self.body, law, force=inertia)
         self.cells = ActiveCells(self.body)
         if ghost:
-            R += formulations.ghost_penalty(U, V, self.cells, law, gamma=ghost)
-        self.R, self.U, self.V = R, U, V
-        self.sim = ImplicitMPM(R, U, self.scheme, self.body, **options)
+            R += formulations.ghost_penalty(z, self.cells, law, gamma=ghost)
+        self.R = R
+        self.sim = ImplicitMPM(R, z, self.scheme, self.body, **options)
 
 
 @pytest.mark.parametrize("lumped", [False, True])
@@ -175,23 +175,18 @@ def test_patch_of_moving_points():
     flight = Flight(
         Newmark, velocity=(0.0, 0.0), nu=0.3, stabilization="none", ghost=0.0, spacing=0.8 / 30
     )
-    body, cells, U = flight.body, flight.cells, flight.U
-    W = U.function_space
-    R = formulations.mixed(U, flight.V, body, NeoHookean(1000.0, 0.3))  # quasi-static
-    V0 = W.sub(0).collapse()[0]
-    prescribed = fem.Function(V0)
+    body, cells, z = flight.body, flight.cells, flight.z
+    R = formulations.mixed(z, body, NeoHookean(1000.0, 0.3))  # quasi-static
     rate = np.array([[0.0, 0.03], [0.0, 0.0]])
-    prescribed.interpolate(lambda x: rate @ (x[:2] - 0.8))
 
     def around(x):
         return np.abs(x[:2] - 0.8).max(axis=0) > 0.15
 
-    dofs = fem.locate_dofs_geometrical((W.sub(0), V0), around)
-    assert len(prescribed.x.array) - len(dofs[0]) == 2 * 4  # free
-    bc = fem.dirichletbc(prescribed, dofs, W.sub(0))
+    motion = z.fix("u", around, lambda x, t: t / 0.01 * rate @ (x[:2] - 0.8))
+    assert len(z.dofs("u")) - len(motion.bc.dof_indices()[0]) == 2 * 4  # free
     correct_weights(body, cells)
     sim = ImplicitMPM(
-        R, U, flight.scheme, body, bcs=[bc], adapt=lambda body: correct_weights(body, cells)
+        R, z, flight.scheme, body, observers=[lambda sim, step: correct_weights(body, cells)]
     )
     F = np.eye(3)
     for _ in range(5):
@@ -292,9 +287,82 @@ def test_points_that_leave():
             kept = np.isin(ids, flight.body.id)
             assert flight.body.x - flight.body["u"] == pytest.approx(x0[kept], abs=1e-14)
         assert flight.body.size_global == (n - step.removed if on_exit == "delete" else n)
-        assert flight.body.bounds[0][0] > -1e-12
+        assert flight.body.bounds()[0][0] > -1e-12
     with pytest.raises(ValueError, match="on_exit must be one of"):
         Flight(**fast, on_exit="ignore")
+
+
+@pytest.mark.mpi
+def test_points_at_the_wall_are_counted_once(said):
+    """Points in free flight are held back by the wall when they get there; it is said once."""
+    flight = Flight(velocity=(-4.9, 0.0), dt=0.02, nu=0.3, on_exit="clamp")
+    n = flight.body.size_global
+    x0 = np.concatenate(MPI.COMM_WORLD.allgather(flight.body.x[:, 0]))
+    removed = 0
+    for step in flight.sim.run(0.3):
+        removed += step.removed
+        assert removed == np.sum(x0 < 4.9 * step.time)
+    assert removed == n == flight.body.size_global
+    assert sum("held back" in line for line in said) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("loop", ["implicit", "quasi-static"])
+def test_bodies_without_any_points(loop):
+    """Neither at first, nor when they were removed or have left; one with points is enough."""
+    words = "all bodies are empty: there are no points to be moved"
+
+    def simulation(bodies):
+        z = Unknown(domain, "u", "p")
+        scheme = Bossak(z, dt=0.1) if loop == "implicit" else formulations.QuasiStatic(z, dt=0.1)
+        law = NeoHookean(1000.0, 0.3)
+        R = sum(formulations.mixed(z, body, law, force=scheme.force(body)) for body in bodies)
+        z.fix("u", lambda x: np.isclose(x[1], 0), (0.0, 0.0))
+        return ImplicitMPM(R, z, scheme, bodies)
+
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+    body = points.fill(domain, 3)
+    formulations.set_initial_state(body, 2.0)
+    nothing = body.select([])
+    with pytest.raises(ValueError, match=words):
+        simulation([nothing, nothing.copy()])
+    sim = simulation([body, nothing])
+    assert sim.step().number == 1
+    body.remove(np.full(len(body), True))
+    for act in (sim.step, lambda: next(sim.run(1.0))):
+        with pytest.raises(ValueError, match=words):
+            act()
+    assert sim.number == 1
+
+
+@pytest.mark.mpi
+def test_a_body_that_has_left():
+    flight = Flight(velocity=(-40.0, 0.0), dt=0.1, ghost=0, nu=0.3, on_exit="delete")
+    assert flight.sim.step().removed == 144
+    with pytest.raises(ValueError, match="all bodies are empty"):
+        flight.sim.step()
+
+
+@pytest.mark.mpi
+def test_a_density_for_each_point():
+    """Of 2 + x kg/m^2 in the unit square: 2.5 kg, with the centre at (1 + 1/3) / 2.5 m."""
+    comm = MPI.COMM_WORLD
+    body = points.quadrature(mesh.create_unit_square(comm, 4, 4), 3)
+    rho = 2 + body.x[:, 0]
+    wrong = rho.copy()
+    if comm.rank == comm.size - 1:
+        wrong[1] = 0.0
+    with pytest.raises(
+        ValueError, match=r"density must be positive: 0.0 kg/m\^d at point 1 \(1 of"
+    ):
+        formulations.set_initial_state(body, wrong)
+    assert body.field_names == ()
+    formulations.set_initial_state(body, rho)
+    assert body["mass"] == pytest.approx(rho * body.weight, rel=1e-15)
+    assert comm.allreduce(body["mass"].sum()) == pytest.approx(2.5, rel=1e-13)
+    assert comm.allreduce(body["mass"] @ body.x) == pytest.approx([4 / 3, 1.25], rel=1e-13)
+    body["v"] = body.x
+    assert momentum(body) == pytest.approx([4 / 3, 1.25], rel=1e-13)
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, np.inf])
@@ -312,33 +380,43 @@ def test_wrong_input():
         ({"flip": -0.1}, "flip = -0.1"),
     ):
         with pytest.raises(ValueError, match=message):
-            Flight(lambda U, dt, a=arguments: Bossak(U, dt=dt, **a))
+            Flight(lambda z, dt, a=arguments: Bossak(z, dt=dt, **a))
     with pytest.raises(ValueError, match="beta"):
-        Flight(lambda U, dt: Newmark(U, dt=dt, beta=0.0))
+        Flight(lambda z, dt: Newmark(z, dt=dt, beta=0.0))
     with pytest.raises(ValueError, match="gamma = 0"):
         flight = Flight()
-        formulations.ghost_penalty(flight.U, flight.V, flight.cells, flight.law, gamma=0)
+        formulations.ghost_penalty(flight.z, flight.cells, flight.law, gamma=0)
     domain = mesh.create_unit_square(MPI.COMM_SELF, 2, 2)
     body = points.fill(domain, 2)
     with pytest.raises(ValueError, match="density"):
         formulations.set_initial_state(body, -1.0)
-    with pytest.raises(ValueError, match=r"velocities of shape \(2,\)"):
+    n = len(body)
+    for density, message in (
+        (np.where(np.arange(n) == 3, -2.0, 1.0), r"-2.0 kg/m\^d at point 3 \(1 of \d+ are not"),
+        (np.where(np.arange(n) == 3, np.nan, 1.0), "densities must be finite"),
+        (np.ones(n + 1), rf"densities of shape \({n + 1},\) for {n} points"),
+        (np.ones((n, 1)), rf"densities of shape \({n}, 1\) for {n} points"),
+        ("1000", "densities must be numbers, not '1000'"),
+        (np.inf, "densities must be finite: inf"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            formulations.set_initial_state(body, density)
+    with pytest.raises(ValueError, match=r"shape \(2, \d+\), not float64 of the shape \(2,\)"):
         formulations.set_initial_state(body, 1.0, lambda x: np.zeros(2))
     assert body.field_names == ()
-    U = fem.Function(formulations.mixed_space(domain))
-    V = ufl.TestFunction(U.function_space)
-    R = formulations.mixed(U, V, body, NeoHookean(1.0, 0.3))
+    z = Unknown(domain, "u", "p")
+    R = formulations.mixed(z, body, NeoHookean(1.0, 0.3))
     with pytest.raises(ValueError, match="set_initial_state"):
-        ImplicitMPM(R, U, Bossak(U, dt=0.1), body)
+        ImplicitMPM(R, z, Bossak(z, dt=0.1), body)
     formulations.set_initial_state(body, 1.0)
     for arguments, message in (
         ({"bodies": []}, "needs a body"),
-        ({"scheme": Bossak(fem.Function(U.function_space), dt=0.1)}, "same unknown"),
+        ({"scheme": Bossak(Unknown(domain, "u", "p"), dt=0.1)}, "same unknown"),
         ({"updates": {points.fill(domain, 1): {}}}, "neither bodies nor carried"),
-        ({"updates": {body: {"T": U[0]}}}, r"\['T'\] that the points do not have"),
+        ({"updates": {body: {"T": z.p}}}, r"\['T'\] that the points do not have"),
     ):
         with pytest.raises(ValueError, match=message):
-            ImplicitMPM(R, U, **{"scheme": Bossak(U, dt=0.1), "bodies": body, **arguments})
+            ImplicitMPM(R, z, **{"scheme": Bossak(z, dt=0.1), "bodies": body, **arguments})
     with pytest.raises(ValueError, match="same mesh"):
         other = points.fill(mesh.create_unit_square(MPI.COMM_SELF, 2, 2), 2)
         ActiveCells(body, other)
@@ -367,7 +445,7 @@ def test_a_field_of_ones_own():
     body.add_field("stretch")
     k = formulations.Kinematics(flight.scheme.increment, body)
     sim = ImplicitMPM(
-        flight.R, flight.U, flight.scheme, body,
+        flight.R, flight.z, flight.scheme, body,
         updates={body: {"stretch": ufl.sqrt(ufl.tr(k.F.T * k.F) / 3)}},
     )  # fmt: skip
     sim.step()
@@ -388,18 +466,15 @@ def test_energy_of_a_swinging_beam(scheme):
     On so coarse a grid, what points lose as they cross cells hides what schemes dissipate.
     """
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [(-3, 0), (3, 5)], [24, 20])
-    body = points.lattice(domain, 0.05, inside=lambda x: (np.abs(x[:, 0]) < 0.5) & (x[:, 1] < 4))
-    formulations.set_initial_state(body, 1.0, lambda x: np.outer(x[:, 1], (1.0, 0.0)))
-    W = formulations.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
+    body = points.lattice(domain, 0.05, inside=lambda x: (np.abs(x[0]) < 0.5) & (x[1] < 4))
+    formulations.set_initial_state(body, 1.0, lambda x: np.outer((1.0, 0.0), x[1]))
+    z = Unknown(domain, "u", "p")
+    z.fix("u", lambda x: np.isclose(x[1], 0))
     law = NeoHookean(300.0, 0.5)
-    time = scheme(U, dt=0.02)
-    R = formulations.stabilized("asgs", U, V, body, law, force=time.force(body))
-    R += formulations.ghost_penalty(U, V, ActiveCells(body), law)
-    W_u = W.sub(0).collapse()[0]
-    base = fem.locate_dofs_geometrical((W.sub(0), W_u), lambda x: np.isclose(x[1], 0))
-    bc = fem.dirichletbc(fem.Function(W_u), base, W.sub(0))
-    sim = ImplicitMPM(R, U, time, body, bcs=[bc])
+    time = scheme(z, dt=0.02)
+    R = formulations.stabilized("asgs", z, body, law, force=time.force(body))
+    R += formulations.ghost_penalty(z, ActiveCells(body), law)
+    sim = ImplicitMPM(R, z, time, body)
     start = kinetic_energy(body)
     energies = [(kinetic_energy(body), strain_energy(body, law)) for _ in sim.run(0.8)]
     kinetic, strain = np.array(energies).T / start

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Files can be read again with the right numbers, pictures have the right colours."""
 
+import errno
 import logging
+import os
 import subprocess
 import time
 from types import SimpleNamespace
@@ -151,17 +153,29 @@ def test_picture_has_the_colours_of_the_values(directory):
     u.x.array[:] = 0.0
     points = fill(domain, 2)
     points.add_field("v", (2,), np.array([0.0, 0.75]))
-    panels = [
-        io.Panel(io.gather_functions([p, u]), "p", "grid", displacement="u"),
-        io.Panel(io.gather_points(points), "v", "points"),
-    ]
-    io.picture(directory / "two.png", panels, "p [Pa]", limits=(0.0, 1.0))
-    panels[1].component = 0
-    io.picture(directory / "component.png", panels[1:], "v [m/s]", limits=(-1.0, 1.0))
+    # a function, and points of now
+    points.add_field("p", (), 0.75)
+    both = {"grid": io.gather_functions([p]), "points": points}
+    io.picture(directory / "two.png", both, "p", "p [Pa]", limits=(0.0, 1.0))
+    moved = io.gather_functions([p, u])
+    io.picture(directory / "moved.png", moved, "p", displacement="u", limits=(0.0, 1.0))
+    io.picture(directory / "p.png", p, limits=(0.0, 1.0))
+    limits = {"limits": (-1.0, 1.0)}
+    io.picture(directory / "component.png", points, "v", "v [m/s]", component=0, **limits)
+    left, right = (fill(domain, 2) for _ in range(2))
+    left.remove(lambda x: x[0] > 0.5)
+    right.remove(lambda x: x[0] < 0.5)
+    for body, value in ((left, 0.25), (right, 0.75)):
+        body.add_field("q", (), value)
+    io.picture(directory / "bodies.png", [left, right], "q", limits=(0.0, 1.0))
     comm.barrier()
     assert painted(directory / "two.png", 0.25) > 0.2
     assert painted(directory / "two.png", 0.75) > 0.08
+    assert painted(directory / "moved.png", 0.25) > 0.2
+    assert painted(directory / "p.png", 0.25) > 0.4
     assert painted(directory / "component.png", 0.5) > 0.15
+    for value in (0.25, 0.75):
+        assert painted(directory / "bodies.png", value) > 0.1
 
 
 def test_plot_shows_curves_and_references(directory):
@@ -176,6 +190,8 @@ def test_plot_shows_curves_and_references(directory):
         assert blue.sum() > 800 and black.sum() > 3000
     with pytest.raises(ValueError):
         io.plot(path, {"a": (t, t[1:])}, "t [s]", "u [m]")
+    with pytest.raises(ValueError, match="axes need a text"):
+        io.plot(path, {"a": (t, t)}, "t [s]")
     with pytest.raises(OSError):
         io.plot("/proc/none/plot.png", {"a": (t, t)}, "t [s]", "u [m]")
 
@@ -184,7 +200,7 @@ def test_picture_in_space(directory):
     domain = unit_mesh("hexahedron", 2)
     p, _ = functions(domain)
     p.x.array[:] = 1.0
-    io.picture(directory / "space.png", [io.Panel(io.gather_functions([p]), "p")], "p [Pa]")
+    io.picture(directory / "space.png", p, label="p [Pa]")
     image = matplotlib.image.imread(directory / "space.png")[..., :3]
     assert len(np.unique((255 * image).astype(int).reshape(-1, 3), axis=0)) > 10
 
@@ -201,7 +217,7 @@ def test_picture_leaves_no_server_behind(directory, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     p, _ = functions(unit_mesh("triangle"))
     for name in ("first.png", "second.png"):
-        io.picture(directory / name, [io.Panel(io.gather_functions([p]), "p")], "p [Pa]")
+        io.picture(directory / name, p, label="p [Pa]")
         assert painted(directory / name, 0.5) > 0.001
     assert len(started) == (2 if pictures._needs_x_server() else 0)
     assert all(server.poll() is not None for server in started)
@@ -211,30 +227,33 @@ def test_picture_leaves_no_server_behind(directory, monkeypatch):
 def test_pictures_that_cannot_be_drawn_raise_on_all_ranks(directory, monkeypatch):
     p, _ = functions(unit_mesh("triangle"))
     data = io.gather_functions([p])
+    path = directory / "no.png"
     with pytest.raises(ValueError, match="no field 'q'"):
-        io.picture(directory / "no.png", [io.Panel(data, "q")], "q")
+        io.picture(path, data, "q")
     with pytest.raises(ValueError, match="no field 'u'"):
-        io.picture(directory / "no.png", [io.Panel(data, "p", displacement="u")], "p")
-    points = io.gather_points(fill(unit_mesh("triangle"), 1))
-    panel = io.Panel(points, "x" if points is None else "id", component=1)
-    if points is not None:
-        points["v"] = np.zeros((points.n_points, 3))
-        panel = io.Panel(points, "v", component=3)
+        io.picture(path, data, "p", displacement="u")
+    with pytest.raises(ValueError, match="which field is to be drawn"):
+        io.picture(path, data)
+    with pytest.raises(ValueError, match="nothing to draw"):
+        io.picture(path, {}, "p")
+    points = fill(unit_mesh("triangle"), 1)
+    points.add_field("v", (2,))
     with pytest.raises(ValueError, match="components 0 to 2, not 3"):
-        io.picture(directory / "no.png", [panel], "v")
+        io.picture(path, points, "v", component=3)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr(pictures, "_needs_x_server", lambda: True)
     monkeypatch.setattr(pictures.shutil, "which", lambda name: None)
     with pytest.raises(RuntimeError, match="Install Xvfb"):
-        io.picture(directory / "no.png", [io.Panel(data, "p")], "p")
+        io.picture(path, data, "p")
 
 
 def test_colour_range_cuts_singular_values():
     data = pyvista.PolyData(np.random.default_rng(1).random((1000, 3)))
     data["p"] = np.linspace(0.0, 1.0, 1000)
     data["p"][0] = -1e6
-    assert io.colour_range([io.Panel(data, "p")])[0] == -1e6
-    assert io.colour_range([io.Panel(data, "p")], cut=1) == pytest.approx((0.01, 0.99), abs=1e-3)
+    panels = [pictures._Panel("", data, "p", None, None)]
+    assert pictures._colour_range(panels)[0] == -1e6
+    assert pictures._colour_range(panels, cut=1) == pytest.approx((0.01, 0.99), abs=1e-3)
 
 
 def test_table_is_aligned(capsys):
@@ -292,3 +311,21 @@ def test_no_points_and_fields_without_values():
         if comm.rank == 0:
             assert "state" not in cloud.point_data and cloud.n_points == points.size_global
             assert points.size_global == 0 or cloud.point_data["v"].shape[1] == 3
+
+
+@pytest.mark.mpi
+def test_a_full_disk_leaves_no_half_files(directory, monkeypatch):
+    points = fill(unit_mesh("triangle"), 1)
+    path = directory / "points.vtp"
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    io.write(path, io.gather_points(points), {"n": 1})
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match=r"No space left on device; make room.*points\.vtp"):
+            io.write(path, io.gather_points(points), {"n": 2})
+    MPI.COMM_WORLD.barrier()
+    assert pyvista.read(path).field_data["n"][0] == 1
+    assert [file.name for file in directory.iterdir()] == ["points.vtp"]

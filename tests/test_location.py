@@ -3,12 +3,16 @@
 
 from mpi4py import MPI
 
+import basix.ufl
 import numpy as np
 import pytest
+import ufl
 from dolfinx import mesh as dmesh
 from dolfinx.mesh import CellType
 
 from fenicsmpm._compat import geometry_dofmap
+from fenicsmpm.points import MaterialPoints, quadrature
+from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.location import Locator, locator
 
 SERIAL = MPI.COMM_SELF
@@ -203,6 +207,113 @@ def test_flat_cells_are_an_error():
     mesh.geometry.x[:, 1] = 0.0
     with pytest.raises(ValueError, match="40 cells of zero volume"):
         Locator(mesh)
+
+
+def one_cell(kind, vertices):
+    """A mesh of one cell with vertices in the order of dolfinx."""
+    d = len(vertices[0])
+    element = basix.ufl.element("Lagrange", kind, 1, shape=(d,))
+    cells = np.arange(len(vertices))[None]
+    return dmesh.create_mesh(SERIAL, cells=cells, x=np.array(vertices), e=ufl.Mesh(element))
+
+
+FOLDED = {
+    "quadrilateral": [[0, 0], [1, 0], [0, 1], [0.2, 0.2]],
+    "quadrilateral, turned over": [[0, 0], [0, 1], [1, 0], [0.2, 0.2]],
+    "quadrilateral, crossed": [[0, 0], [1, 0], [1, 1], [0, 1]],
+    # det = 0.094 or more at the vertices, -0.15 in the middle of an edge
+    "hexahedron, at an edge": [
+        [-0.1, -0.2, -0.4],
+        [1.0, 0.5, 0.0],
+        [0.4, 0.7, -0.1],
+        [0.7, 1.4, 0.6],
+        [-0.3, 0.4, 0.7],
+        [0.7, -0.5, 1.3],
+        [0.6, 1.6, 0.6],
+        [1.4, 0.4, 1.1],
+    ],
+    # det > 0 at all vertices and centres of edges, faces and the cell, and somewhere -0.063
+    "hexahedron, elsewhere": [
+        [-0.2, 0.0, -0.5],
+        [1.5, 0.8, 0.4],
+        [-0.3, 0.6, 0.6],
+        [0.3, 1.3, -0.7],
+        [-0.5, 0.4, 1.8],
+        [0.5, 0.2, 0.9],
+        [0.7, 1.7, 0.9],
+        [1.2, 0.7, 0.9],
+    ],
+}
+
+
+@pytest.mark.parametrize("name", FOLDED)
+def test_folded_cells_are_an_error(name):
+    vertices = np.array(FOLDED[name])
+    for scale, shift in ((1.0, 0.0), (1e-6, 0.0), (1.0, 1e3)):
+        mesh = one_cell(name.split(",")[0], scale * (vertices + shift))
+        with pytest.raises(ValueError, match="with 1 cells whose Jacobian changes its sign") as e:
+            MaterialPoints(mesh, mesh.geometry.x[:1, : vertices.shape[1]], 1.0)
+        assert f"first number 0 with vertices [[{scale * (vertices[0, 0] + shift)}," in str(e.value)
+
+
+def test_cells_with_edges_in_line_are_none():
+    """Their determinant is zero at a vertex, or along a whole edge of a wedge."""
+    for vertices in (
+        [[0, 0], [1, 0], [0, 1], [0.5, 0.5]],
+        [[0, 0], [0, 1], [1, 0], [0.5, 0.5]],
+        [[0, 0], [1, 0], [0, 1], [0, 1]],
+        [[0.1, 0.1], [0.3, 0.1], [0.1, 0.3], [0.2, 0.2]],
+        [[*x, z] for z in (0, 1) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5))],
+        [[*x, z] for z in (0, 1) for x in ((0, 0), (1, 0), (0, 1), (0, 1))],
+    ):
+        kind = "quadrilateral" if len(vertices) == 4 else "hexahedron"
+        geometry = cell_geometry(one_cell(kind, vertices))
+        half = 0.5 * (vertices[1][0] - vertices[0][0] + vertices[1][1] - vertices[0][1]) ** 2
+        np.testing.assert_allclose(geometry.owned_volumes, half, rtol=1e-14)
+
+
+def test_folded_hexahedra_are_those_found_by_looking_everywhere():
+    """Random vertices; the determinant at 21^3 points of each cell, by basix."""
+    unit = basix.geometry(basix.CellType.hexahedron)
+    line = np.linspace(0.0, 1.0, 21)
+    everywhere = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
+    element = basix.create_element(basix.ElementFamily.P, basix.CellType.hexahedron, 1)
+    table = element.tabulate(1, everywhere)[1:, :, :, 0]  # (axis, point, vertex)
+    found = {True: 0, False: 0}
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        vertices = unit + rng.uniform(-0.45, 0.45, unit.shape)
+        det = np.linalg.det(np.einsum("jpv,vi->pij", table, vertices))
+        if abs(det.min()) < 5e-3:
+            continue  # 21 points are not enough to tell
+        try:
+            cell_geometry(one_cell("hexahedron", vertices))
+            is_folded = False
+        except ValueError:
+            is_folded = True
+        assert is_folded == (det.min() < 0)
+        found[is_folded] += 1
+    assert min(found.values()) > 10
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "kind", [CellType.quadrilateral, CellType.hexahedron], ids=lambda k: k.name
+)
+def test_one_folded_cell_of_a_mesh_is_named_on_all_ranks(kind):
+    """A vertex next to a corner of the mesh goes beyond the diagonal of that corner's cell."""
+    world = MPI.COMM_WORLD
+    d = 2 if kind == CellType.quadrilateral else 3
+    make = dmesh.create_unit_square if d == 2 else dmesh.create_unit_cube
+    mesh = make(world, *d * [4], kind)
+    mesh.topology.create_connectivity(d, d)
+    geometry = cell_geometry(mesh)
+    x = mesh.geometry.x
+    x[np.all(np.abs(x[:, :d] - 0.25) < 1e-9, axis=1), :d] = 0.05
+    in_corner = np.all(geometry.corners(np.arange(geometry.num_owned)) < 0.3, axis=(1, 2))
+    (number,) = np.concatenate(world.allgather(geometry.key[: geometry.num_owned][in_corner]))
+    with pytest.raises(ValueError, match=f"1 cells .* its sign, first number {number} with"):
+        quadrature(mesh, 2)
 
 
 def test_locator_is_built_once_and_does_not_keep_the_mesh():

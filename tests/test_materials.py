@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Constitutive laws at points against UFL, matrix logarithms and closed solutions."""
 
-import logging
 import math
 
 import numpy as np
@@ -419,14 +418,89 @@ def test_what_is_wrong_is_said(make, message):
         make()
 
 
-def test_softening_warns(caplog, monkeypatch):
-    monkeypatch.setattr(logging.getLogger("fenicsmpm"), "propagate", True)
-    with caplog.at_level(logging.WARNING):
-        VonMises(E, NU, 1.0, H=1.0)
-        VonMises(E, NU, 1.0, sigma_r=2.0, eta=1.0)
-        assert not caplog.records
-        VonMises(E, NU, 1.0, sigma_r=0.5, eta=1.0)
-    assert "without a length scale" in caplog.text
+PARAMETERS = {
+    Hencky: {"E": 1.0, "nu": 0.3},
+    NeoHookean: {"E": 1.0, "nu": 0.3},
+    VonMises: {"E": 1.0, "nu": 0.3, "sigma_y": 1.0, "H": 1.0, "sigma_r": 0.9, "eta": 0.1},
+    NewtonianFluid: {"kappa": 1.0, "mu": 1.0},
+}
+
+
+@pytest.mark.parametrize("law", PARAMETERS)
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        ("0.3", "'0.3'"),
+        (None, "None"),
+        (0.3 + 0j, r"\(0.3\+0j\)"),
+        (np.array([0.3, 0.4]), r"array\(\[0.3, 0.4\]\)"),
+        ([0.3], r"\[0.3\]"),
+        ([[0.3], [0.3, 0.4]], r"\[\[0.3\], \[0.3, 0.4\]\]"),
+        (math.nan, "nan"),
+        (math.inf, "inf"),
+        (-math.inf, "-inf"),
+        (np.float32(-2.5), "-2.5"),
+    ],
+)
+def test_wrong_parameters_are_shown(law, value, shown):
+    """Any parameter of any law: its name and the value that was given."""
+    assert law(**PARAMETERS[law])
+    # None is no residual strength
+    for name in set(PARAMETERS[law]) - ({"sigma_r"} if value is None else set()):
+        with pytest.raises(ValueError, match=f"{name} = {shown}"):
+            law(**{**PARAMETERS[law], name: value})
+
+
+def test_numbers_of_other_types():
+    """Integers and numpy's numbers are numbers, and laws with them the same."""
+    numbers = (2, np.int32(2), np.float32(2), np.array(2.0))
+    for law in (Hencky, NeoHookean):
+        for E in numbers:
+            assert repr(law(E, np.float32(0.25))) == repr(law(2.0, 0.25))
+            assert law(E, 0).mu == 1.0
+
+
+@pytest.mark.parametrize(
+    ("law", "nu", "message"),
+    [
+        (Hencky, -1, r"\(-1, 0.5\): nu = -1.0. At -1 the shear modulus is infinite$"),
+        (NeoHookean, -1, r"\(-1, 0.5\]: nu = -1.0. At -1 the shear modulus is infinite$"),
+        (Hencky, 0.5, r"\(-1, 0.5\): nu = 0.5. A stress .* use 0.499"),
+        (
+            Hencky,
+            3,
+            r"nu = 3.0. Use nu = 0.5 for .* material. A stress .* use 0.499",
+        ),
+        (NeoHookean, 0.6, r"nu = 0.6. Use nu = 0.5 for an incompressible material$"),
+        (NeoHookean, math.nan, r"\(-1, 0.5\]: nu = nan$"),
+    ],
+)
+def test_what_is_said_of_poissons_ratio(law, nu, message):
+    with pytest.raises(ValueError, match=message):
+        law(1.0, nu)
+
+
+@pytest.mark.parametrize("values", ["0.3", ["0.3"], [None], [1.0, "x"], [[1.0], [1.0, 2.0]]])
+def test_own_laws_take_numbers(values):
+    for make in (
+        lambda: Law(shear_only, values, 1.0),
+        lambda: Law(shear_only, [1.0], 1.0, {"a": ((), values)}),
+        lambda: materials.from_energy(lambda F, c: c * ufl.tr(F), values),
+    ):
+        with pytest.raises(ValueError, match="must be numbers, not ") as error:
+            make()
+        assert repr(values) in str(error.value)
+    with pytest.raises(ValueError, match="wave_speed_modulus = "):
+        Law(shear_only, [1.0], values)
+
+
+def test_softening_warns(said):
+    VonMises(E, NU, 1.0, H=1.0)
+    VonMises(E, NU, 1.0, sigma_r=2.0, eta=1.0)
+    assert not said
+    VonMises(E, NU, 1.0, sigma_r=0.5, eta=1.0)
+    (line,) = said
+    assert "without a length scale" in line
 
 
 def test_print():

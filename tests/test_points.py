@@ -10,7 +10,7 @@ import ufl
 from dolfinx import mesh as dmesh
 from dolfinx.mesh import CellType
 
-from fenicsmpm.points import MaterialPoints, PointsOutsideError, quadrature
+from fenicsmpm.points import MaterialPoints, PointsOutsideError, at, quadrature
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.migration import exchange
 from fenicsmpm.points.sorting import order_by_number
@@ -85,8 +85,8 @@ def test_points_arrive_at_the_owners_of_their_cells(kind, source):
     np.testing.assert_array_equal(everywhere(points, "weight"), x.sum(axis=1))
     np.testing.assert_array_equal(everywhere(points, "tag"), np.arange(n))
     np.testing.assert_array_equal(everywhere(points, "T"), tensor)
-    np.testing.assert_allclose(points.volume, x.sum(), rtol=1e-13)
-    np.testing.assert_array_equal(points.bounds, (x.min(axis=0), x.max(axis=0)))
+    np.testing.assert_allclose(points.volume(), x.sum(), rtol=1e-13)
+    np.testing.assert_array_equal(points.bounds(), (x.min(axis=0), x.max(axis=0)))
     for name, dtype in (("cell", np.int32), ("id", np.int64), ("tag", np.int32)):
         assert points[name].dtype == dtype
     assert all(points[name].flags.c_contiguous for name in (*points.field_names, "x", "xi"))
@@ -134,7 +134,7 @@ def test_any_ghosts_and_ranks_without_cells(mode, n):
     points.move(1.0 - points.x)
     check_consistent(points)
     np.testing.assert_array_equal(everywhere(points, "x"), 1.0 - x)
-    np.testing.assert_allclose(quadrature(mesh, 1).volume, 1.0, rtol=1e-14)
+    np.testing.assert_allclose(quadrature(mesh, 1).volume(), 1.0, rtol=1e-14)
 
 
 def test_corner_points_move_to_the_same_cell_from_anywhere():
@@ -180,7 +180,7 @@ def test_a_moved_mesh_is_noticed():
     with pytest.raises(ValueError, match="background mesh have moved"):
         points.move(points.x)
     lost = 0.5 * (0.05 + 0.04) * 0.125
-    np.testing.assert_allclose(quadrature(mesh, 1).volume, 1.0 - lost, rtol=1e-13)
+    np.testing.assert_allclose(quadrature(mesh, 1).volume(), 1.0 - lost, rtol=1e-13)
     check_consistent(quadrature(mesh, 1))
 
 
@@ -250,10 +250,27 @@ def unsupported_meshes():
 
 
 def test_unsupported_meshes():
-    for mesh in unsupported_meshes().values():
+    for name, mesh in unsupported_meshes().items():
         d = mesh.geometry.dim
-        with pytest.raises(ValueError, match="a mesh of unsupported cells"):
+        with pytest.raises(ValueError, match="a mesh of unsupported cells") as error:
             MaterialPoints(mesh, np.zeros((1, d)), 1.0)
+        # what Gmsh's meshes of the plane become unless one says otherwise
+        assert ("give gdim=2" in str(error.value)) == (name == "surface")
+
+
+def test_what_one_rank_reads():
+    """Attributes, properties and what is printed do not wait for other ranks."""
+    mesh = box()
+    points = MaterialPoints(mesh, cloud(20, 2)[WORLD.rank :: WORLD.size], 1.0)
+    points.add_field("v", (2,))
+    names = [name for name in dir(points) if not callable(getattr(points, name))]
+    assert {"size_global", "version", "weight", "order", "field_names"} <= set(names)
+    if WORLD.rank == 0:
+        seen = {name: getattr(points, name) for name in names}
+        assert seen["size_global"] == 20 and "of 20 points" in repr(points)
+    assert points.volume() == 20.0
+    lower, upper = points.bounds()
+    np.testing.assert_array_equal([lower, upper], [cloud(20, 2).min(0), cloud(20, 2).max(0)])
 
 
 def test_fields():
@@ -307,9 +324,9 @@ def test_add_select_remove_and_copy():
     np.testing.assert_array_equal(everywhere(both, "id"), np.arange(90))
     np.testing.assert_array_equal(everywhere(both, "tag"), np.repeat([1, 2], [50, 40]))
     np.testing.assert_array_equal(both["v"], both.x)
-    np.testing.assert_allclose(both.volume, 130.0, rtol=1e-14)
+    np.testing.assert_allclose(both.volume(), 130.0, rtol=1e-14)
 
-    left = both.select(lambda x: x[:, 0] < 0.5)
+    left = both.select(lambda x: x[0] < 0.5)
     assert left.size_global == np.sum(x[:, 0] < 0.5)
     np.testing.assert_array_equal(left["v"], left.x)
     left["v"] = 0.0
@@ -431,3 +448,21 @@ def test_order_by_number_is_a_stable_sort(highest, n):
     for kind in (np.int32, np.int64):
         order = order_by_number(number.astype(kind))
         np.testing.assert_array_equal(order, np.argsort(number, kind="stable"))
+
+
+@pytest.mark.mpi
+def test_points_at_positions_that_all_ranks_know():
+    domain = dmesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+    probe = at(domain, (0.3, 0.6))
+    assert probe.size_global == 1 and len(at(domain, np.empty((0, 2)))) == 0
+    three = at(domain, [(0.9, 0.1), (0.3, 0.6), (1.0, 1.0)], weight=2.0)
+    found = MPI.COMM_WORLD.allgather([(i, *x) for i, x in zip(three.id, three.x, strict=True)])
+    assert sorted(row for rows in found for row in rows) == [
+        (0, 0.9, 0.1),
+        (1, 0.3, 0.6),
+        (2, 1.0, 1.0),
+    ]
+    with pytest.raises(ValueError, match="shape"):
+        at(domain, (0.3, 0.6, 0.0))
+    with pytest.raises(PointsOutsideError):
+        at(domain, (1.3, 0.6))

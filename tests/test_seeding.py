@@ -76,7 +76,7 @@ SEEDINGS = {
 def test_weights_sum_to_the_volume(kind, bent, seeding):
     mesh = box(kind, bent=bent)
     points = SEEDINGS[seeding](mesh)
-    np.testing.assert_allclose(points.volume, integral(mesh), rtol=1e-13)
+    np.testing.assert_allclose(points.volume(), integral(mesh), rtol=1e-13)
     # and they do so in every cell
     cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
     q0 = fem.functionspace(mesh, ("DG", 0))
@@ -125,7 +125,7 @@ def test_fill_cuts_cells_into_equal_parts(kind, k):
     assert points.size_global == cells * k**d
     np.testing.assert_allclose(points.weight, integral(mesh) / points.size_global, rtol=1e-12)
     # The centroids of equal parts integrate linear functions exactly, so the mean is the centre.
-    mean = [total(points, points.x[:, i]) / points.volume for i in range(d)]
+    mean = [total(points, points.x[:, i]) / points.volume() for i in range(d)]
     np.testing.assert_allclose(mean, [1.0, 0.5, 0.5][:d], rtol=1e-13)
 
 
@@ -141,8 +141,8 @@ def test_fill_of_a_triangle():
 def test_cells_and_predicate():
     mesh = box(CellType.quadrilateral, n=4)
     left = dmesh.locate_entities(mesh, 2, lambda x: x[0] < 1 + 1e-9)
-    np.testing.assert_allclose(quadrature(mesh, 2, cells=left).volume, 1.0)
-    np.testing.assert_allclose(fill(mesh, 2, inside=lambda x: x[:, 1] < 0.5).volume, 1.0)
+    np.testing.assert_allclose(quadrature(mesh, 2, cells=left).volume(), 1.0)
+    np.testing.assert_allclose(fill(mesh, 2, inside=lambda x: x[1] < 0.5).volume(), 1.0)
     assert np.all(quadrature(mesh, 1, tag=7).tag == 7)
 
 
@@ -156,6 +156,75 @@ def test_random_does_not_depend_on_ranks():
         )
         other = random(box(kind, comm=MPI.COMM_SELF), 3, seed=12)
         assert abs(other.x.sum() - serial.x.sum()) > 1e-3
+
+
+def in_disc(x):
+    return np.hypot(x[0] - 0.9, x[1] - 0.4) < 0.55
+
+
+NUMBERED = {
+    "quadrature": lambda mesh: quadrature(mesh, 2, inside=in_disc),
+    "fill": lambda mesh: fill(mesh, 2, inside=in_disc),
+    "random": lambda mesh: random(mesh, 3, seed=4, inside=in_disc),
+    "lattice": lambda mesh: lattice(mesh, 0.07, inside=in_disc),
+    "lattice on facets": lambda mesh: lattice(mesh, 0.125),
+    "boundary": lambda mesh: on_facets(mesh, lambda x: np.isclose(x[1], 0.0), degree=3),
+    "line": lambda mesh: on_curve(
+        mesh, (0.1,) * mesh.geometry.dim, (0.8,) * mesh.geometry.dim, 0.02
+    ),
+    "from a mesh": lambda mesh: from_mesh(
+        box(mesh.topology.cell_type, n=5, comm=mesh.comm), fill(mesh, 2, inside=in_disc)
+    ),
+    "sum": lambda mesh: _sum(lattice(mesh, 0.1, inside=in_disc), fill(mesh, 1)),
+}
+
+
+def _sum(body, other):
+    body.add(other)
+    return body
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
+@pytest.mark.parametrize("seeding", NUMBERED)
+def test_ids_do_not_depend_on_ranks(kind, seeding):
+    parallel = NUMBERED[seeding](box(kind, n=4))
+    serial = NUMBERED[seeding](box(kind, n=4, comm=MPI.COMM_SELF))
+    ids = gathered(parallel, parallel.id)
+    order = np.argsort(ids)
+    assert len(ids) == parallel.size_global == len(serial) == parallel.next_id == serial.next_id
+    np.testing.assert_array_equal(ids[order], np.arange(len(ids)))
+    for name in ("x", "weight"):
+        expected = serial[name][np.argsort(serial.id)]
+        found = gathered(parallel, parallel[name])[order]
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+
+
+def test_numbers_of_points():
+    mesh = box(CellType.triangle)
+    n = 5 if WORLD.rank == 0 else 2
+    x = np.tile((0.5, 0.5), (n, 1))
+    total = WORLD.allreduce(n)
+    start = WORLD.exscan(n) or 0
+    number = 10 * (total - start - np.arange(n))  # from behind
+    points = MaterialPoints(mesh, x, 1.0, number=number, fields={"number": number})
+    np.testing.assert_array_equal(points.id, points["number"] / 10 - 1)
+    assert points.next_id == total
+    here = WORLD.rank == WORLD.size - 1
+    for wrong, message in (
+        (np.where(here & (np.arange(n) == 0), 50, number + 10**15), None),
+        (np.where(here & (np.arange(n) == 0), -1, number), "start from 0, but there is -1"),
+        (number // 20, "distinct, but several have"),
+        (number[:1], "number of shape"),
+    ):
+        if message is None:
+            first = MaterialPoints(mesh, x, 1.0, number=wrong, fields={"number": wrong})
+            assert gathered(first, first["number"])[gathered(first, first.id) == 0] == 50
+            continue
+        with pytest.raises(ValueError, match=message):
+            MaterialPoints(mesh, x, 1.0, number=wrong)
+    if WORLD.size > 1:
+        with pytest.raises(ValueError, match="the same on all ranks"):
+            MaterialPoints(mesh, x, 1.0, number=number if here else None)
 
 
 def test_random_is_uniform():
@@ -178,9 +247,9 @@ def test_lattice(kind):
     d = mesh.geometry.dim
     points = lattice(mesh, 0.125)
     assert points.size_global == 16 * 8 ** (d - 1)
-    np.testing.assert_allclose(points.volume, 2.0, rtol=1e-14)
+    np.testing.assert_allclose(points.volume(), 2.0, rtol=1e-14)
     assert len(np.unique(gathered(points, points.x), axis=0)) == points.size_global
-    half = lattice(mesh, 0.125, inside=lambda x: x[:, 0] < 1)
+    half = lattice(mesh, 0.125, inside=lambda x: x[0] < 1)
     assert half.size_global == 8**d
 
 
@@ -189,7 +258,7 @@ def test_lattice_on_facets_is_not_doubled():
     mesh = dmesh.create_unit_square(WORLD, 8, 8)
     points = lattice(mesh, 0.125)
     assert points.size_global == 64
-    np.testing.assert_allclose(points.volume, 1.0, rtol=1e-14)
+    np.testing.assert_allclose(points.volume(), 1.0, rtol=1e-14)
     serial = lattice(dmesh.create_unit_square(MPI.COMM_SELF, 8, 8), 0.125)
     x = gathered(points, points.x)
     np.testing.assert_array_equal(x[np.lexsort(x.T)], serial.x[np.lexsort(serial.x.T)])
@@ -216,7 +285,7 @@ def test_points_on_facets_lie_in_the_same_cells_on_any_number_of_ranks(kind, gho
 def test_lattice_of_a_bent_mesh_approaches_its_volume():
     mesh = box(CellType.quadrilateral, bent=True, n=6)
     volume = integral(mesh)
-    np.testing.assert_allclose(lattice(mesh, 0.01).volume, volume, rtol=3e-3)
+    np.testing.assert_allclose(lattice(mesh, 0.01).volume(), volume, rtol=3e-3)
 
 
 def test_from_mesh():
@@ -226,7 +295,7 @@ def test_from_mesh():
     points = from_mesh(background, body)
     assert points.mesh is background
     assert points.size_global == body.size_global
-    np.testing.assert_allclose(points.volume, integral(body.mesh), rtol=1e-13)
+    np.testing.assert_allclose(points.volume(), integral(body.mesh), rtol=1e-13)
     np.testing.assert_array_equal(points["s"], points.x)
     assert np.all(points.tag == 3)
     small = dmesh.create_unit_square(WORLD, 2, 2)
@@ -242,7 +311,9 @@ def test_facets(kind, bent):
     mesh.topology.create_connectivity(d - 1, d)
     everything = dmesh.exterior_facet_indices(mesh.topology)
     points = on_facets(mesh, everything, degree=4)
-    np.testing.assert_allclose(points.volume, integral(mesh, measure=ufl.ds, degree=4), rtol=1e-12)
+    np.testing.assert_allclose(
+        points.volume(), integral(mesh, measure=ufl.ds, degree=4), rtol=1e-12
+    )
 
     def f(x):
         return x[0] ** 2 + x[1]
@@ -256,22 +327,22 @@ def test_facets(kind, bent):
 
 def test_facets_by_predicate_and_inner_facets():
     mesh = box(CellType.tetrahedron)
-    end = on_facets(mesh, lambda x: np.isclose(x[:, 0], 2.0))
-    np.testing.assert_allclose(end.volume, 1.0, rtol=1e-13)
+    end = on_facets(mesh, lambda x: np.isclose(x[0], 2.0))
+    np.testing.assert_allclose(end.volume(), 1.0, rtol=1e-13)
     np.testing.assert_allclose(end.x[:, 0], 2.0, rtol=1e-15)
     d = 3
     mesh.topology.create_entities(d - 1)
     facets = mesh.topology.index_map(d - 1).size_local
     everything = on_facets(mesh, np.arange(facets, dtype=np.int32))
     expected = integral(mesh, measure=ufl.ds) + integral(mesh, measure=ufl.dS)
-    np.testing.assert_allclose(everything.volume, expected, rtol=1e-12)
+    np.testing.assert_allclose(everything.volume(), expected, rtol=1e-12)
 
 
 def test_curve():
     mesh = box(CellType.triangle)
     points = on_curve(mesh, (0.5, 0.1), (1.5, 0.1), 0.02)
     assert points.size_global == 50
-    np.testing.assert_allclose(points.volume, 1.0, rtol=1e-14)
+    np.testing.assert_allclose(points.volume(), 1.0, rtol=1e-14)
     x = np.sort(gathered(points, points.x)[:, 0])
     np.testing.assert_allclose(x, 0.51 + 0.02 * np.arange(50), rtol=1e-14)
     assert on_curve(mesh, (0, 0), (2, 1), 0.4).size_global == 6
@@ -283,7 +354,7 @@ def test_what_gives_no_points():
     mesh = box(CellType.triangle)
 
     def nowhere(x):
-        return x[:, 0] > 5
+        return x[0] > 5
 
     for call in (
         lambda: quadrature(mesh, 2, inside=nowhere),
@@ -305,7 +376,7 @@ def test_invalid_arguments():
     for call, message in (
         (lambda: quadrature(mesh, -1), "degree"),
         (lambda: quadrature(mesh, 1, cells=[10**6]), "cells to fill"),
-        (lambda: quadrature(mesh, 1, inside=lambda x: x[:, 0]), "mask of points"),
+        (lambda: quadrature(mesh, 1, inside=lambda x: x[0]), "must return a mask"),
         (lambda: fill(mesh, 0), "1 or more parts"),
         (lambda: random(mesh, 0, seed=1), "1 or more random points"),
         (lambda: lattice(mesh, 0.0), "spacing"),

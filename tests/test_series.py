@@ -3,6 +3,7 @@
 
 import errno
 import os
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -54,10 +55,10 @@ def names(directory):
 def test_points_are_read_as_written(points, directory):
     path = directory / "new" / "cook.pvd"
     times = [0.0, 0.1, 0.1 + 0.2, 1e3]
-    with io.Series(path, points, {"E [Pa]": 250.0}) as series:
-        for time in times:
-            points["u"] = time * points.x
-            series.write(time)
+    series = io.Series(path, points, {"E [Pa]": 250.0})
+    for time in times:
+        points["u"] = time * points.x
+        series.write(time)
     assert series.times == times
     found, values = read(path, "u")
     assert found == times
@@ -77,11 +78,11 @@ def test_functions_are_read_as_written(directory):
     domain = mesh.create_unit_square(comm, 3, 3)
     p = fem.Function(fem.functionspace(domain, ("Lagrange", 1)), name="p")
     q = fem.Function(p.function_space, name="q")
-    with io.Series(directory / "grid.pvd", [p, q]) as series:
-        for time in (0.5, 1.0):
-            p.x.array[:] = time
-            q.x.array[:] = -time
-            series.write(time)
+    series = io.Series(directory / "grid.pvd", [p, q])
+    for time in (0.5, 1.0):
+        p.x.array[:] = time
+        q.x.array[:] = -time
+        series.write(time)
     for name, sign in (("p", 1.0), ("q", -1.0)):
         times, values = read(directory / "grid.pvd", name)
         assert times == [0.5, 1.0]
@@ -102,12 +103,13 @@ def test_it_can_be_read_meanwhile(points, directory):
 @pytest.mark.mpi
 def test_goes_on_after_a_restart(points, directory):
     path = directory / "a.pvd"
-    first = io.Series(path, points, append_after=0.0)  # nothing there yet
+    first = io.Series(path, points, append=True)  # nothing there yet
     for k in range(6):
         points["u"] = float(k)
         first.write(0.1 * k)
     # restarted from a checkpoint at t = 0.3, with longer steps
-    series = io.Series(path, points, append_after=0.3)
+    series = io.Series(path, points, append=True)
+    series.begin(SimpleNamespace(time=0.3))
     assert series.times == [0.0, 0.1, 0.2, 0.1 * 3]
     assert len(read(path, "u")[0]) == 6  # as long as there is nothing new
     points["u"] = 9.0
@@ -145,13 +147,13 @@ def test_errors_are_raised_on_all_ranks(points, directory, monkeypatch):
             series.write(time)
     p = fem.Function(fem.functionspace(points.mesh, ("Lagrange", 1)), name="p")
     with pytest.raises(ValueError, match="lists other files"):
-        io.Series(directory / "a.pvd", [p], append_after=1.0)
+        io.Series(directory / "a.pvd", [p], append=True).write(1.0)
     if comm.rank == 0:
         (directory / "b.pvd").write_text("<VTKFile>")
         (directory / "file").touch()
     comm.barrier()
     with pytest.raises(ValueError, match=r"b\.pvd is no series"):
-        io.Series(directory / "b.pvd", points, append_after=1.0)
+        io.Series(directory / "b.pvd", points, append=True).write(1.0)
     with pytest.raises(OSError, match="file"):
         io.Series(directory / "file" / "c.pvd", points).write(0.0)
 

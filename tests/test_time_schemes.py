@@ -7,11 +7,10 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, formulations, io, points
-from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Midpoint, Newmark
+from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Midpoint, Newmark, Unknown
 from fenicsmpm.materials import NeoHookean
 
 SCHEMES = [Newmark, Bossak, GeneralizedAlpha, BDF2]
@@ -30,20 +29,15 @@ def shear_oscillator(scheme, dt):
     )
     x = np.column_stack([np.arange(0.25, 3, 0.5), np.ones(6)])
     body = MaterialPoints(domain, x, weight=0.5)
-    formulations.set_initial_state(body, 1.0, lambda x: np.tile((SPEED, 0), (len(x), 1)))
-    W = formulations.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
-    time = scheme(U, dt=dt)
+    formulations.set_initial_state(body, 1.0, (SPEED, 0))
+    z = Unknown(domain, "u", "p")
+    z.fix("u", lambda x: x[1] < 0.5, component=0)
+    z.fix("u", lambda x: x[1] < 1.5, component=1)
+    time = scheme(z, dt=dt)
     nu = 0.3
     law = NeoHookean(2 * (1 + nu) * OMEGA**2, nu)
-    R = formulations.mixed(U, V, body, law, force=time.force(body))
-    bcs = []
-    for axis, where in ((0, lambda x: x[1] < 0.5), (1, lambda x: x[1] < 1.5)):
-        part = W.sub(0).sub(axis)
-        space = part.collapse()[0]
-        dofs = fem.locate_dofs_geometrical((part, space), where)
-        bcs.append(fem.dirichletbc(fem.Function(space), dofs, part))
-    return ImplicitMPM(R, U, time, body, bcs=bcs)
+    R = formulations.mixed(z, body, law, force=time.force(body))
+    return ImplicitMPM(R, z, time, body)
 
 
 def error_at_the_end(scheme, steps, shares=(1,)):
@@ -75,21 +69,13 @@ def test_second_order(scheme, shares):
 def test_rigid_motion_with_a_moving_wall(scheme):
     domain = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (2, 1)], [8, 4])
     velocity = np.array([1.0, 0.25])
-    body = points.lattice(domain, 0.05, inside=lambda x: np.abs(x - 0.5).max(axis=1) < 0.3)
-    formulations.set_initial_state(body, 2.0, lambda x: np.tile(velocity, (len(x), 1)))
-    W = formulations.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
-    time = scheme(U, dt=0.04)
-    R = formulations.stabilized("asgs", U, V, body, NeoHookean(100.0, 0.5), force=time.force(body))
-    space = W.sub(0).collapse()[0]
-    moved = fem.Function(space)
-    lower = fem.locate_dofs_geometrical((W.sub(0), space), lambda x: x[1] < 0.55)
-
-    def data(start, end):
-        moved.x.array[:] = np.tile(velocity * (end - start), len(moved.x.array) // 2)
-
-    bc = fem.dirichletbc(moved, lower, W.sub(0))
-    sim = ImplicitMPM(R, U, time, body, bcs=[bc], data=data)
+    body = points.lattice(domain, 0.05, inside=lambda x: np.abs(x[:2] - 0.5).max(axis=0) < 0.3)
+    formulations.set_initial_state(body, 2.0, velocity)
+    z = Unknown(domain, "u", "p")
+    z.fix("u", lambda x: x[1] < 0.55, lambda t: velocity * t)
+    time = scheme(z, dt=0.04)
+    R = formulations.stabilized("asgs", z, body, NeoHookean(100.0, 0.5), force=time.force(body))
+    sim = ImplicitMPM(R, z, time, body)
     x0 = body.x.copy()
     for dt in (0.04, 0.02, 0.06, 0.04):
         sim.step(dt)
@@ -98,8 +84,8 @@ def test_rigid_motion_with_a_moving_wall(scheme):
         assert body["F"] == pytest.approx(np.tile(np.eye(3), (len(body), 1, 1)), abs=1e-9)
 
 
-def lumped_midpoint(U, **options):
-    return Midpoint(U, lumping=1.0, **options)
+def lumped_midpoint(z, **options):
+    return Midpoint(z, lumping=1.0, **options)
 
 
 @pytest.mark.parametrize("flip", [0.0, 0.25])
@@ -112,15 +98,12 @@ def test_pic_flip_and_a_blend(scheme, flip):
     """
     domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1, mesh.CellType.quadrilateral)
     body = points.fill(domain, 2)
-    formulations.set_initial_state(
-        body, 1.0, lambda x: np.column_stack([x[:, 0] < 0.5, np.zeros(len(x))])
-    )
-    W = formulations.mixed_space(domain)
-    U, V = fem.Function(W), ufl.TestFunction(W)
-    time = scheme(U, dt=0.1, flip=flip)
-    R = formulations.mixed(U, V, body, NeoHookean(1e-9, 0.0)) + time.inertia(V, body)
+    formulations.set_initial_state(body, 1.0, lambda x: np.array([x[0] < 0.5, 0 * x[0]]))
+    z = Unknown(domain, "u", "p")
+    time = scheme(z, dt=0.1, flip=flip)
+    R = formulations.mixed(z, body, NeoHookean(1e-9, 0.0)) + time.inertia(body)
     left = body.x[:, 0] < 0.5
-    ImplicitMPM(R, U, time, body).step()
+    ImplicitMPM(R, z, time, body).step()
     pic = np.where(left, 0.625, 0.375)
     assert body["v"][:, 0] == pytest.approx(flip * left + (1 - flip) * pic, abs=1e-8)
     assert body["u"][:, 0] == pytest.approx(0.1 * pic, abs=1e-9)

@@ -40,8 +40,10 @@ def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = Non
     Args:
         points: the point set, on a mesh of equal axis-parallel boxes that fill a box.
         name: "linear" (those of the finite elements), "quadratic" or "cubic" (B-splines), or
-            "gimp" (uGIMP).
-        half_size: half of the initial size of a point in m, ``(d,)`` or one number; for "gimp".
+            "gimp" (uGIMP), or "cpgimp", whose points stretch with their field "F" along the axes
+            (S. Bardenhagen, E. Kober, CMES 5, 2004), up to the size of a cell.
+        half_size: half of the initial size of a point in m, ``(d,)`` or one number; for the last
+            two.
 
     Raises:
         ValueError: on all ranks, for points that are in use already, meshes that are no lattices,

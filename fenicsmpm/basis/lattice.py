@@ -61,8 +61,16 @@ class Lattice:
         """Local cells by numbers ``(..., d)``, -1 for not on this rank."""
         return self.boxes.at(index)
 
-    def nodes(self, index: _Indices) -> npt.NDArray[np.int32]:
-        """Local nodes of the mesh's geometry by numbers ``(..., d)``, -1 for not on this rank."""
+    def nodes(
+        self, index: _Indices, dofmap: npt.NDArray[np.int32] | None = None
+    ) -> npt.NDArray[np.int32]:
+        """Local nodes by numbers ``(..., d)``, -1 for not on this rank.
+
+        Args:
+            index: numbers of the nodes in each direction.
+            dofmap: nodes of each cell in a linear space; None for those of the mesh's geometry.
+        """
+        dofmap = self._dofmap if dofmap is None else dofmap
         flat = index.reshape(-1, index.shape[-1])
         result = np.full(len(flat), -1, dtype=np.int32)
         # a node is a corner of some cell around it that is on this rank
@@ -71,7 +79,7 @@ class Lattice:
             cells = self.cells(flat[missing] - upper)
             found = np.flatnonzero(cells >= 0)
             vertex = self.boxes.vertex(cells[found], np.array(upper))
-            result[missing[found]] = self._dofmap[cells[found], vertex]
+            result[missing[found]] = dofmap[cells[found], vertex]
         return result.reshape(index.shape[:-1])
 
 

@@ -26,7 +26,9 @@ from fenicsmpm.points.sorting import sort_by_number
 if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
 
-KINDS = {"linear": LINEAR, "quadratic": QUADRATIC, "cubic": CUBIC, "gimp": GIMP}
+KINDS = {
+    "linear": LINEAR, "quadratic": QUADRATIC, "cubic": CUBIC, "gimp": GIMP, "cpgimp": GIMP,
+}  # fmt: skip
 # Points that a thread does with one piece of work memory
 _CHUNK = 1024
 # Groups whose nodes are looked for at a time
@@ -43,8 +45,8 @@ class LatticeStencil:
 
     Args:
         points: the point set.
-        name: "linear", "quadratic", "cubic" or "gimp".
-        half_size: half of the points' size in m, ``(d,)`` or one number, for uGIMP.
+        name: "linear", "quadratic", "cubic", "gimp" or "cpgimp".
+        half_size: half of the points' initial size in m, ``(d,)`` or one number, for the last two.
 
     Attributes:
         kind: stencils of one kind on a mesh have the same groups.
@@ -246,10 +248,22 @@ class LatticeStencil:
         ]
         table = np.empty((len(points), derivative_rows(derivatives, dim), self._nodes.shape[1]))
         _tabulate(
-            self._kind, points.x, points.cell, self._order, lattice.boxes, self._half, self._width,
-            np.array(rows), least, table,
+            self._kind, points.x, points.cell, self._order, lattice.boxes, self._halves(),
+            self._width, np.array(rows), least, table,
         )  # fmt: skip
         return table
+
+    def _halves(self) -> npt.NDArray[np.float64]:
+        """``(n_points or 1, d)`` half sizes of the points now, in units of a cell."""
+        half = self._half[None]
+        points, dim = self.points, self._dim
+        if self.name != "cpgimp" or "F" not in points:
+            return half
+        F = points["F"][:, :dim, :dim]
+        values, axes = np.linalg.eigh(F @ F.transpose(0, 2, 1))
+        # stretches along the axes: diagonal of V with V V = F F^T
+        stretch = np.einsum("pik,pk,pik->pi", axes, np.sqrt(np.maximum(values, 0.0)), axes)
+        return np.minimum(half * stretch, 0.5)
 
     def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
         """Values of the functions, of which those with a slope are not zero.
@@ -286,7 +300,7 @@ def half_size_in_cells(
     Args:
         mesh: a lattice.
         name: of the grid functions.
-        half_size: in m, ``(d,)`` or one number, for uGIMP.
+        half_size: in m, ``(d,)`` or one number, for uGIMP and cpGIMP.
 
     Raises:
         ValueError: on all ranks, for unknown names, meshes that are no lattices, and sizes that
@@ -298,7 +312,8 @@ def half_size_in_cells(
     dim = len(spacing)
     if (half_size is not None) != (KINDS[name] == GIMP):
         raise ValueError(
-            "half_size is the size of points for 'gimp', which needs it, and for nothing else: "
+            "half_size is the size of points for 'gimp' and 'cpgimp', which need it, and for "
+            "nothing else: "
             f"{name!r} with half_size={half_size!r}"
         )
     if half_size is None:
@@ -361,7 +376,7 @@ def _tabulate(  # type: ignore[no-untyped-def]
                 place, i = divmod(place, boxes.box[m])
                 i += boxes.first[m]
                 t = _position(boxes, x[p, m], i, m)
-                tabulate_line(kind, i, t, boxes.shape[m], half[m], lines[m])
+                tabulate_line(kind, i, t, boxes.shape[m], half[p % len(half), m], lines[m])
                 for a in range(width):
                     if least > 0.0 and abs(lines[m, 1, a]) > 1e-6:  # no round-off
                         lines[m, 0, a] = max(lines[m, 0, a], least)

@@ -63,20 +63,17 @@ class ActiveCells:
         """Changes whenever points have moved."""
         return tuple(p.version for p in self.points)
 
-    @property
     def cells(self) -> npt.NDArray[np.int32]:
         """Owned active cells, ascending (collective)."""
         self._update()
         return self._cells
 
-    @property
     def cut_cells(self) -> npt.NDArray[np.int32]:
         """Owned cut cells, ascending (collective)."""
         raise_together(self.mesh.comm, self._error)
         self._update()
         return self._cut_cells
 
-    @property
     def facets(self) -> npt.NDArray[np.int32]:
         """Owned facets between two active cells, at least one of them cut (collective).
 
@@ -94,16 +91,16 @@ class ActiveCells:
             integral_type: "cell" or "interior_facet".
         """
         if integral_type == "cell":
-            return self.cells
+            return self.cells()
         if integral_type == "interior_facet":
-            return _compat.facet_entities(self.mesh, self.facets)
+            return _compat.facet_entities(self.mesh, self.facets())
         raise ValueError(f"no integrals of type {integral_type!r} over active cells: use dx or dS")
 
     def blocks(self, integral_type: str) -> npt.NDArray[np.int32]:
         """``(n, 1 or 2)`` cells whose functions meet in an entity of an integral."""
         if integral_type == "cell":
-            return self.cells[:, None]
-        return self._facet_cells[self.facets]
+            return self.cells()[:, None]
+        return self._facet_cells[self.facets()]
 
     def _update(self) -> None:
         if self._version == self.version:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
+from fenicsmpm import _jit
 from fenicsmpm.cells.active_cells import ActiveCells
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.transfer.points_to_grid import p2g
@@ -51,7 +52,7 @@ class FilledFraction(fem.Function):
         if self._version != self._cells.version:
             self._version = self._cells.version
             full = fem.Function(space)
-            cells = self._cells.cells
+            cells = self._cells.cells()
             np.add.at(full.x.array, space.dofmap.list[cells], self._share[cells])
             full.x.scatter_reverse(la.InsertMode.add)
             full.x.scatter_forward()
@@ -65,5 +66,5 @@ def _vertex_shares(mesh: Any) -> npt.NDArray[np.float64]:
     """``(n_cells, n_vertices)`` what the vertex rule gives to each vertex of a cell [m^d]."""
     space = fem.functionspace(mesh, ("Discontinuous Lagrange", 1))
     dx = ufl.Measure("dx", domain=mesh.ufl_domain(), metadata=_VERTEX_RULE)
-    shares = fem.assemble_vector(fem.form(ufl.TestFunction(space) * dx))
+    shares = fem.assemble_vector(_jit.mesh_form(ufl.TestFunction(space) * dx))
     return shares.array[space.dofmap.list]

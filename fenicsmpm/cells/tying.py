@@ -8,6 +8,8 @@ at the rim of the body. The system A x = b becomes T^T A T y = T^T b with x = T 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -30,35 +32,39 @@ class Tying:
 
     A node of active cells, or whose function is not zero at all points, is ill if none of its
     cells is well filled. Its values are those of the linear function of one well-filled cell, the
-    one with the nearest centroid; never of a chain.
+    one with the nearest centroid; never of a chain. Several bodies that move with the same
+    functions fill cells together.
 
     Args:
         space: linear Lagrange space, scalar, blocked or mixed.
-        body: material points with volumes as weights [m^d].
-        cells: active cells of the body and of boundary points.
+        bodies: material points with volumes as weights [m^d].
+        cells: active cells of the bodies and of boundary points.
         threshold: volume of points per volume of the cell [-] from which it is well filled.
 
     Attributes:
+        bodies: as above.
         matrix: T, rows of the identity but for the tied degrees of freedom (after ``update``).
 
     Raises:
-        ValueError: for spaces that are not linear, a body that is not in the active cells, a
-            threshold that is not positive.
+        ValueError: for spaces that are not linear, a body that is not in the active cells, no
+            body, a threshold that is not positive.
     """
 
     def __init__(
         self,
         space: fem.FunctionSpace,
-        body: MaterialPoints,
+        bodies: MaterialPoints | Sequence[MaterialPoints],
         cells: ActiveCells,
         threshold: float = 0.5,
     ) -> None:
         """Find the degrees of freedom of each node, and the first T (collective)."""
-        if body not in cells.points or space.mesh is not cells.mesh:
-            raise ValueError("tying needs active cells of the body, ActiveCells(body, ..)")
+        self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
+        known = self.bodies and all(body in cells.points for body in self.bodies)
+        if not known or space.mesh is not cells.mesh:
+            raise ValueError("tying needs active cells of its bodies, ActiveCells(body, ..)")
         if not 0 < threshold < np.inf:
             raise ValueError(f"cells are well filled from a positive fraction on, not {threshold}")
-        self.space, self.body, self.cells, self.threshold = space, body, cells, threshold
+        self.space, self.cells, self.threshold = space, cells, threshold
         self._vertices = fem.functionspace(space.mesh, ("Lagrange", 1))
         dofmap = space.dofmap
         bs, blocks = dofmap.index_map_bs, dofmap.index_map
@@ -191,9 +197,9 @@ class Tying:
         The fourth array has owned dofs of ill nodes that are not tied because they are fixed.
         """
         mesh = self.space.mesh
-        well = filled_fractions(self.body) >= self.threshold
+        well = sum(filled_fractions(body) for body in self.bodies) >= self.threshold
         full, rest = np.flatnonzero(well), np.flatnonzero(~well)
-        ill = (nodes_of(mesh, self.cells.cells) | self._seen()) & ~nodes_of(mesh, full)
+        ill = (nodes_of(mesh, self.cells.cells()) | self._seen()) & ~nodes_of(mesh, full)
         tied = ill[:, None] & (self._node_dofs < self._sizes[0])
         is_fixed = np.isin(self._node_dofs, fixed)
         bare = np.unique(self._node_dofs[tied & is_fixed])
@@ -220,8 +226,9 @@ class Tying:
         """``(n_nodes,)`` whether functions of a node are not zero at all points, however small."""
         space = self._vertices
         seen = np.zeros(len(self.space.mesh.geometry.x), dtype=np.bool_)
-        volume = p2g(self.body, self.body.weight, space).array
-        seen[_compat.geometry_dofmap(space.mesh)] = (volume != 0)[space.dofmap.list]
+        for body in self.bodies:
+            volume = p2g(body, body.weight, space).array
+            seen[_compat.geometry_dofmap(space.mesh)] |= (volume != 0)[space.dofmap.list]
         return seen
 
     def _gather(self, rim: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:

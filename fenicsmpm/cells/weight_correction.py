@@ -19,7 +19,8 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
 
     Points that cross cells leave one overfull and the other with a gap; the integrals then miss
     parts of the body that is there. Constant functions are integrated exactly afterwards. To be
-    used as ``ImplicitMPM(..., adapt=lambda body: correct_weights(body, cells))``; masses stay.
+    used as ``ImplicitMPM(..., observers=[lambda sim, step: correct_weights(body, cells)])``; masses
+    stay.
 
     A cell is interior if no vertex of it belongs to a cell without points. Left as they are: cells
     filled to less than 0.5 or more than 1.5 of their volume, and cells shared with another body.

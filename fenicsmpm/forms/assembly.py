@@ -91,16 +91,32 @@ def assemble_vector(L: Form, b: la.Vector | None = None) -> la.Vector:
     return b
 
 
-def add_to_array(b: _Array, L: Form) -> None:
-    """Add a form of rank 1 to the local array of a vector, ghosts included."""
+def add_to_array(b: _Array, L: Form, sizes: _Array | None = None) -> None:
+    """Add a form of rank 1 to the local array of a vector, ghosts included.
+
+    Args:
+        b: the array.
+        L: compiled form.
+        sizes: array to which the absolute values of what is added are added, cell by cell of
+            points, and integral by integral over cells or facets: their round-off is what a sum
+            that should be zero has.
+    """
     _check_size(b, L.function_spaces[0])
     L.refresh()
     for form in L.mesh_forms():
-        fem.assemble_vector(b, form)
+        if sizes is None:
+            fem.assemble_vector(b, form)
+            continue
+        added = np.zeros_like(b)
+        fem.assemble_vector(added, form)
+        b += added
+        sizes += np.abs(added)
     for integral in L.point_integrals:
         dofs = integral.dofs(integral.lowered.arguments[0], L.function_spaces[0])
         for groups, vectors in integral.element_tensors():
             loops.add_vectors(vectors, dofs, integral.groups[groups], b)
+            if sizes is not None:
+                loops.add_vectors(np.abs(vectors), dofs, integral.groups[groups], sizes)
 
 
 def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
@@ -122,7 +138,8 @@ def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
     for rows, columns in _meetings(a, compact):
         _insert_cliques(pattern, rows, columns)
     if _is_square(a):
-        pattern.insert_diagonal(np.arange(maps[0].size_local, dtype=np.int32))
+        # of ghosts, too: dolfinx counts constrained ghosts of blocked spaces among the owned
+        pattern.insert_diagonal(np.arange(maps[0].size_local + maps[0].num_ghosts, dtype=np.int32))
     pattern.finalize()
     return la.matrix_csr(pattern, cpp.la.BlockMode.expanded)
 
@@ -281,7 +298,8 @@ def _set_mesh_forms(
         if a not in kept or kept[a][0] != key:
             A.set_value(0.0)
             for region_form in constant:
-                _add_ordinary(A, region_form.current(), bcs)
+                if not region_form.add_facets(a.function_spaces, fixed, A):
+                    _add_ordinary(A, region_form.current(), bcs)
             kept[a] = (key, A.data.copy())
         A.data[:] = kept[a][1]
     else:

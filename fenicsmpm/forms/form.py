@@ -11,6 +11,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.algorithms.check_arities import ArityMismatch, check_integrand_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
+from fenicsmpm import _jit
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.integral import PointIntegral, selected_tags
 from fenicsmpm.forms.regions import RegionForm, is_region
@@ -165,7 +166,7 @@ def form(
     mesh_options = {"form_compiler_options": form_compiler_options, "jit_options": jit_options}
     ordinary = None
     if _has_integrals(ordinary_integrals, arguments):
-        ordinary = fem.form(ufl.Form(ordinary_integrals), **mesh_options)
+        ordinary = _jit.mesh_form(ufl.Form(ordinary_integrals), **mesh_options)
     region_forms = [
         RegionForm(integrals, mesh_options)
         for integrals in by_region.values()

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from fenicsmpm import _compat
+from fenicsmpm import _compat, _jit
 from fenicsmpm.points import MaterialPoints
 
 
@@ -52,10 +52,10 @@ def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
     space = fem.functionspace(mesh, ("DG", 0))
     if type(quantity).__name__ == "CellVolume":
         # exact for cells that are not affine, for which UFL has no formula
-        values = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
+        values = fem.assemble_vector(_jit.mesh_form(ufl.TestFunction(space) * ufl.dx)).array
     else:
         function = fem.Function(space)
         points = _compat.interpolation_points(space)
-        function.interpolate(fem.Expression(quantity, points))
+        function.interpolate(_jit.expression(quantity, points, mesh.comm))
         values = function.x.array
     return values[space.dofmap.list[:, 0]]

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from fenicsmpm import _compat
+from fenicsmpm import _compat, _jit
 from fenicsmpm._njit import njit
 from fenicsmpm.forms.lowering import PointwiseForm
 
@@ -96,8 +96,8 @@ def compile_kernel(
         shape: of its element tensor.
         jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
     """
-    options = {"cffi_extra_compile_args": COMPILE_ARGS, "timeout": 600} | jit_options
-    compiled, module = _compat.compile_form(comm, form, options)
+    options = {"cffi_extra_compile_args": COMPILE_ARGS} | jit_options
+    compiled, module = _jit.kernel_form(comm, form, options)
     return Kernel(_compat.kernel_address(compiled, module), shape, module)
 
 
@@ -127,6 +127,28 @@ def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignor
         tensor, inputs, coordinates = (builder.inttoptr(a, pointer) for a in args[1:])
         null = ir.Constant(pointer, None)
         _build_call(builder, args[0], tensor, null, inputs, coordinates)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def call_facet_kernel(typingctx, address, tensor, coordinates, facets, permutations):  # type: ignore[no-untyped-def]
+    """Call a kernel of an interior facet by its address, without coefficients and constants.
+
+    All arguments are addresses (int64): of two cells' coordinates, of the two local numbers of the
+    facet (int32), and of its two permutations (uint8).
+    """
+    signature = types.void(*[types.int64] * 5)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        pointer = ir.IntType(8).as_pointer()
+        function = builder.inttoptr(
+            args[0], ir.FunctionType(ir.VoidType(), [pointer] * 7).as_pointer()
+        )
+        tensor, coordinates, facets, permutations = (builder.inttoptr(a, pointer) for a in args[1:])
+        null = ir.Constant(pointer, None)
+        builder.call(function, [tensor, null, null, coordinates, facets, permutations, null])
         return context.get_dummy_value()
 
     return signature, codegen

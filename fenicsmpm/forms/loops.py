@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from fenicsmpm._njit import njit
-from fenicsmpm.forms.kernels import evaluate_kernel
+from fenicsmpm.forms.kernels import call_facet_kernel, evaluate_kernel
 
 
 @njit(parallel=True)
@@ -226,6 +226,70 @@ def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
                 if k == last or indices[k] != column:
                     return False
                 positions[i, a, b] = k
+    return True
+
+
+@njit
+def add_facet_matrices(
+    addresses, entities, x, nodes, dofs0, dofs1, permutations, fixed0, fixed1, indptr, indices, data
+):
+    """Add matrices of interior facets to CSR data, but for constrained rows and columns.
+
+    Entries that are zero are left out: most are, as only components of the same name meet.
+
+    Args:
+        addresses: ``(n_kernels,)`` of functions without coefficients and constants.
+        entities: ``(n_facets, 4)`` cell and local facet on both sides.
+        x: ``(n_nodes, 3)`` positions.
+        nodes: ``(n_cells, n_corners)`` of the cells.
+        dofs0: ``(n_cells, n_local)`` unrolled test dofs.
+        dofs1: the same of trial functions.
+        permutations: ``(n_cells, facets of a cell)`` of the facets.
+        fixed0: ``(n_dofs,)`` 1 for constrained rows.
+        fixed1: the same of columns.
+        indptr: of the matrix.
+        indices: of the matrix, ascending in each row.
+        data: of the matrix.
+
+    Returns:
+        Whether the pattern has a place for all entries.
+    """
+    corners = nodes.shape[1]
+    n0, n1 = dofs0.shape[1], dofs1.shape[1]
+    coordinates = np.empty((2, corners, 3))
+    facets, twists = np.empty(2, dtype=np.int32), np.empty(2, dtype=np.uint8)
+    tensor = np.empty((2 * n0, 2 * n1))
+    rows, columns = np.empty(2 * n0, dtype=np.int64), np.empty(2 * n1, dtype=np.int64)
+    for e in range(len(entities)):
+        for side in range(2):
+            cell, facet = entities[e, 2 * side], entities[e, 2 * side + 1]
+            facets[side], twists[side] = facet, permutations[cell, facet]
+            for a in range(corners):
+                coordinates[side, a] = x[nodes[cell, a]]
+            rows[side * n0 : (side + 1) * n0] = dofs0[cell]
+            columns[side * n1 : (side + 1) * n1] = dofs1[cell]
+        tensor[:] = 0.0
+        for address in addresses:
+            call_facet_kernel(
+                address,
+                tensor.ctypes.data,
+                coordinates.ctypes.data,
+                facets.ctypes.data,
+                twists.ctypes.data,
+            )
+        for a in range(2 * n0):
+            row = rows[a]
+            if fixed0[row]:
+                continue
+            first, last = indptr[row], indptr[row + 1]
+            for b in range(2 * n1):
+                value = tensor[a, b]
+                if value == 0.0 or fixed1[columns[b]]:
+                    continue
+                k = first + np.searchsorted(indices[first:last], columns[b])
+                if k == last or indices[k] != columns[b]:
+                    return False
+                data[k] += value
     return True
 
 

@@ -29,12 +29,15 @@ def create_vector(L: Form) -> PETSc.Vec:
     return PETSc.Vec().createGhost(ghosts, size=size, bsize=bs, comm=lasting(L.mesh.comm))
 
 
-def assemble_vector(L: Form, b: PETSc.Vec | None = None) -> PETSc.Vec:
+def assemble_vector(
+    L: Form, b: PETSc.Vec | None = None, sizes: PETSc.Vec | None = None
+) -> PETSc.Vec:
     """Assemble a form of rank 1; as in dolfinx, ghosts are not sent to their owners.
 
     Args:
         L: compiled form.
         b: vector to add to; None for a new one.
+        sizes: vector to which the absolute values of what is summed up are added.
 
     Returns:
         The vector; after lifting, add up the ghosts with ``b.ghostUpdate(InsertMode.ADD,
@@ -43,7 +46,11 @@ def assemble_vector(L: Form, b: PETSc.Vec | None = None) -> PETSc.Vec:
     assembly._check(L, 1)
     b = create_vector(L) if b is None else b
     with b.localForm() as local:
-        assembly.add_to_array(local.array_w, L)
+        if sizes is None:
+            assembly.add_to_array(local.array_w, L)
+        else:
+            with sizes.localForm() as local_sizes:
+                assembly.add_to_array(local.array_w, L, local_sizes.array_w)
     return b
 
 

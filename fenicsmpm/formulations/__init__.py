@@ -5,9 +5,7 @@ from fenicsmpm.formulations.bdf2 import BDF2
 from fenicsmpm.formulations.boundary import (
     dead_load,
     follower_pressure,
-    normal_update,
     penalty_dirichlet,
-    roller,
     set_normals,
 )
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
@@ -17,18 +15,14 @@ from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.internal_force import body_force, internal_force
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.midpoint import Midpoint
-from fenicsmpm.formulations.mixed import (
-    MixedLaw,
-    mixed,
-    mixed_space,
-    parts,
-    subspaces,
-)
+from fenicsmpm.formulations.mixed import MixedLaw, mixed
 from fenicsmpm.formulations.mixed_energy_momentum import MixedEnergyMomentum
 from fenicsmpm.formulations.newmark import Bossak, GeneralizedAlpha, Newmark
 from fenicsmpm.formulations.newtonian_flow import NewtonianFlow
+from fenicsmpm.formulations.quasi_static import QuasiStatic
 from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
+    PROJECTIONS,
     STABILIZATIONS,
     asgs,
     element_size,
@@ -39,13 +33,16 @@ from fenicsmpm.formulations.stabilization import (
     tau,
 )
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
+from fenicsmpm.formulations.unknown import Condition, Part, Unknown
 
 __all__ = [
     "ALGORITHM_1",
     "BDF2",
+    "PROJECTIONS",
     "STABILIZATIONS",
     "TRUE_J",
     "Bossak",
+    "Condition",
     "EnergyMomentum",
     "FBar",
     "GeneralizedAlpha",
@@ -55,8 +52,11 @@ __all__ = [
     "MixedLaw",
     "Newmark",
     "NewtonianFlow",
+    "Part",
+    "QuasiStatic",
     "Response",
     "TimeScheme",
+    "Unknown",
     "asgs",
     "body_force",
     "dead_load",
@@ -69,18 +69,13 @@ __all__ = [
     "ghost_penalty",
     "internal_force",
     "mixed",
-    "mixed_space",
-    "normal_update",
     "osgs",
-    "parts",
     "penalty_dirichlet",
     "ppp",
     "residuals",
-    "roller",
     "set_initial_state",
     "set_normals",
     "stabilized",
     "stress_power",
-    "subspaces",
     "tau",
 ]

@@ -7,19 +7,19 @@ from typing import Any
 
 from dolfinx import fem
 
-from fenicsmpm.formulations.mixed import parts
 from fenicsmpm.formulations.time_scheme import TimeScheme
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.points import MaterialPoints
 
 
 class BDF2(TimeScheme):
     """Velocity and acceleration by BDF2 of displacement and velocity, for steps of any length.
 
-    Points carry the previous increments of displacement "du" and velocity "dv". The first step is
-    one of the implicit Euler method.
+    Points carry the previous increments of displacement "du" and velocity "dv", and that of each
+    history whose ``rate`` is asked for. The first step is one of the implicit Euler method.
 
     Args:
-        U: unknown, whose first part is the displacement increment u [m].
+        unknown: with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
         flip: 1 for FLIP, 0 for PIC, or between.
 
@@ -30,20 +30,28 @@ class BDF2(TimeScheme):
         acceleration: at the end of the step [m/s^2].
     """
 
-    def __init__(self, U: fem.Function, *, dt: float, flip: float = 1.0) -> None:
+    def __init__(self, unknown: Unknown, *, dt: float, flip: float = 1.0) -> None:
         """Write down velocity and acceleration."""
-        super().__init__(U, dt, flip, ("v", "du", "dv"))
-        mesh = U.function_space.mesh
+        super().__init__(unknown, dt, flip, ("v", "du", "dv"))
+        mesh = unknown.mesh
         self._new = fem.Constant(mesh, 1.0)  # factors of the new and of the previous increment
         self._old = fem.Constant(mesh, 0.0)
         self._previous_dt: float | None = None
         v, du, dv = self.histories.values()
-        self.increment = parts(U)[0]
+        self.increment = self.u
         self._velocity = self._rate(self.increment, du)
         self.acceleration = self._rate(self._velocity - v, dv)
 
     def _rate(self, new: Any, old: Any) -> Any:
         return (self._new * new - self._old * old) / self.dt
+
+    def rate(self, part: str) -> Any:
+        """See ``TimeScheme``; of second order."""
+        super().rate(part)
+        name = f"d{part}"
+        if name not in self.histories:
+            self.histories[name] = fem.Function(self.unknown.part_space(part), name=name)
+        return self._rate(self.change(part), self.histories[name])
 
     def begin(self) -> None:
         """Adapt the factors to the lengths of this step and the one before, if there was one."""
@@ -83,6 +91,7 @@ class BDF2(TimeScheme):
             "a": self.acceleration,
             "du": self.increment,
             "dv": velocity - points.field("v"),
+            **{f"d{part}": self.change(part) for part in self._with_rates},
         }
 
     def __repr__(self) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Loads and constraints on boundary points, which move through the grid with the body; rollers.
+"""Loads and constraints on boundary points, which move through the grid with the body.
 
 Boundary points have the areas (lengths in 2D) of the undeformed boundary as weights, and are
 given to the time loop as ``carried`` points.
@@ -7,27 +7,27 @@ given to the time loop as ``carried`` points.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.formulations.mixed import parts
 from fenicsmpm.formulations.stabilization import element_size
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.of_position import OfPosition, vectors_at
 
 
-def dead_load(V: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
+def dead_load(w: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
     """Traction per initial area that keeps its direction, -(t, w).
 
     Args:
-        V: test function of displacement and pressure.
+        w: test function of displacement or velocity.
         points: boundary points with initial areas [m^(d-1)].
         traction: force per initial area t [Pa], d components or a UFL vector.
 
@@ -38,12 +38,12 @@ def dead_load(V: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
         ValueError: for no points at all, or a traction of another shape.
     """
     _require_points(points, "a load")
-    return -ufl.inner(_vector(traction, points, "a traction"), parts(V)[0]) * points.dx
+    return -ufl.inner(_vector(traction, points, "a traction"), w) * points.dx
 
 
 def set_normals(
     points: MaterialPoints,
-    normals: npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
+    normals: npt.ArrayLike | OfPosition,
 ) -> None:
     """Give boundary points the field "normal", which ``follower_pressure`` needs.
 
@@ -51,15 +51,20 @@ def set_normals(
 
     Args:
         points: boundary points at the beginning, when that ratio is 1.
-        normals: outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order, or a function
-            of the positions ``(n_points, d)`` [m] to them.
+        normals: outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order; or a function
+            as in dolfinx, of positions ``(3, n)`` [m] to normals ``(d, n)``.
 
     Raises:
-        ValueError: for other shapes, lengths other than 1, or points that have normals already.
+        ValueError: for other shapes, lengths other than 1, or points that have normals already;
+            also what the function raises on any rank.
     """
     shape = (len(points), points.mesh.geometry.dim)
-    given = np.asarray(normals(points.x) if callable(normals) else normals, dtype=np.float64)
-    error: ValueError | None = None
+    error: Exception | None = None
+    if callable(normals):
+        error, given = vectors_at(normals, points.x)
+    else:
+        given = np.asarray(normals, dtype=np.float64)
+    raise_together(points.mesh.comm, error)
     if given.shape not in (shape, shape[1:]):
         error = ValueError(
             f"normals need the shape {shape} or {shape[1:]}, not {given.shape}: one row a point"
@@ -76,15 +81,14 @@ def set_normals(
     points.add_field("normal", shape[1:], given)
 
 
-def follower_pressure(U: Any, V: Any, points: MaterialPoints, pressure: Any) -> ufl.Form:
+def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.Form:
     """Pressure on the surface as it moves, p (cof(f) n, w); a positive one pushes on the body.
 
     The surface turns and stretches in the step by Nanson's formula, n da = cof(f) n_0 dA. Its
-    tangent is not symmetric. For steps one after the other give ``normal_update`` to the time loop.
+    tangent is not symmetric. Time loops renew the normals at the end of a step.
 
     Args:
-        U: increment of displacement [m] and pressure.
-        V: test function.
+        z: unknown with the increment of displacement u [m].
         points: boundary points with initial areas [m^(d-1)] and the normals of ``set_normals``.
         pressure: force per present area [Pa], a number or UFL scalar.
 
@@ -94,40 +98,21 @@ def follower_pressure(U: Any, V: Any, points: MaterialPoints, pressure: Any) -> 
     Raises:
         ValueError: for no points at all, points without normals, or a pressure with components.
     """
+    z.require("u", of="a pressure that follows")
     _require_points(points, "a load")
     pressure = ufl.as_ufl(pressure)
     if pressure.ufl_shape != ():
         raise ValueError(f"a pressure is a scalar, but has the shape {pressure.ufl_shape}")
-    return pressure * ufl.inner(normal_update(parts(U)[0], points), parts(V)[0]) * points.dx
-
-
-def normal_update(increment: Any, points: MaterialPoints) -> Any:
-    """The field "normal" at the end of a step, cof(f) n, as UFL over the points.
-
-    To be used as ``ImplicitMPM(..., updates={points: {"normal": normal_update(scheme.increment,
-    points)}})``.
-
-    Args:
-        increment: displacement increment of the whole step [m], d components.
-        points: boundary points with the normals of ``set_normals``.
-
-    Raises:
-        ValueError: for points without normals, or an increment of another shape.
-    """
     if "normal" not in points:
         raise ValueError("boundary points without normals: call set_normals(points, normals) first")
-    dim = points.mesh.geometry.dim
-    if increment.ufl_shape != (dim,):
-        raise ValueError(
-            f"an increment of displacement has {dim} components, but this one the shape "
-            f"{increment.ufl_shape}: use scheme.increment or the first part of the unknown"
-        )
-    return ufl.dot(Kinematics(increment, points).cofactor(), points.field("normal"))
+    normal = points.field("normal")
+    normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
+    area = ufl.dot(Kinematics(z.u, points).cofactor(), normal)
+    return pressure * ufl.inner(area, z.test.u) * points.dx
 
 
 def penalty_dirichlet(
-    U: Any,
-    V: Any,
+    z: Unknown,
     points: MaterialPoints,
     material: NeoHookean | Hencky | float,
     value: Any = None,
@@ -141,13 +126,12 @@ def penalty_dirichlet(
     way by t h / (factor E): the error is of first order in h.
 
     Args:
-        U: increment of displacement [m] and pressure.
-        V: test function.
+        z: unknown with the increment of displacement u [m].
         points: boundary points with initial areas [m^(d-1)]; their field "u" [m] is u_n, and is
             added as zero if there is none.
         material: law of the body with E, or a modulus E [Pa].
         value: prescribed displacement g from the initial position [m], d components or a UFL vector
-            at the end of the motion U (second argument of ``ImplicitMPM``'s ``data``); None for
+            at the end of the motion u (second argument of ``ImplicitMPM``'s ``data``); None for
             zero.
         factor: of the penalty [-]: 10 to 100 give a cantilever the deflection of a fitted mesh,
             more makes cut cells too stiff, as linear functions cannot bend and obey all points.
@@ -159,6 +143,7 @@ def penalty_dirichlet(
         ValueError: for no points at all, a modulus or factor that is not positive and finite, or a
             displacement of another shape.
     """
+    z.require("u", of="a Dirichlet condition")
     _require_points(points, "a Dirichlet condition")
     modulus: Any = getattr(material, "E", material)
     for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
@@ -167,10 +152,10 @@ def penalty_dirichlet(
     dim = points.mesh.geometry.dim
     if "u" not in points:
         points.add_field("u", (dim,))
-    gap = points.field("u") + parts(U)[0]
+    gap = points.field("u") + z.u
     if value is not None:
         gap -= _vector(value, points, "a displacement")
-    return factor * modulus / element_size(points) * ufl.inner(gap, parts(V)[0]) * points.dx
+    return factor * modulus / element_size(points) * ufl.inner(gap, z.test.u) * points.dx
 
 
 def _require_points(points: MaterialPoints, what: str) -> None:
@@ -185,21 +170,3 @@ def _vector(value: Any, points: MaterialPoints, what: str) -> Any:
     if vector.ufl_shape != (dim,):
         raise ValueError(f"{what} needs {dim} components, but has the shape {vector.ufl_shape}")
     return vector
-
-
-def roller(
-    V: fem.FunctionSpace, component: int, where: Callable[[npt.NDArray[np.float64]], Any]
-) -> fem.DirichletBC:
-    """Condition that one component of the velocity is zero: a roller, or a slip wall.
-
-    Args:
-        V: space of velocities, with d components.
-        component: normal to the wall.
-        where: function of positions ``(3, n)`` to marks ``(n,)`` of the nodes on the wall.
-
-    Returns:
-        The condition on that component of V.
-    """
-    part = V.sub(component)
-    dofs = fem.locate_dofs_geometrical((part, part.collapse()[0]), where)[0]
-    return fem.dirichletbc(fem.Constant(V.mesh, 0.0), dofs, part)

@@ -6,29 +6,29 @@ from __future__ import annotations
 from typing import Any
 
 import ufl
-from dolfinx import fem
 
 from fenicsmpm.forms import evaluate
-from fenicsmpm.formulations.kinematics import Kinematics, embed
-from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.formulations.initial_state import require_initial_state
+from fenicsmpm.formulations.kinematics import Kinematics, embed, gradient_before
 from fenicsmpm.formulations.response import Energy, Response
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 
 
-def stress_power(P: Any, V: Any, points: MaterialPoints) -> ufl.Form:
+def stress_power(P: Any, w: Any, points: MaterialPoints) -> ufl.Form:
     """Internal virtual work of a first Piola-Kirchhoff stress, the integral of P : Grad w.
 
     Args:
         P: stress [Pa], 3x3, UFL over the points.
-        V: test function, with the displacement w as its first part.
-        points: the body, with its field "F" and volumes V_n as weights.
+        w: test function of the displacement.
+        points: the body, with volumes V_n as weights; without a field "F" it is undeformed.
 
     Returns:
         UFL form of rank 1 over the points.
     """
-    F_n = points.field("F")
-    gradient = embed(ufl.grad(parts(V)[0])) * F_n  # with respect to initial positions
+    F_n = gradient_before(points)
+    gradient = embed(ufl.grad(w)) * F_n  # with respect to initial positions
     return ufl.inner(P, gradient) / ufl.det(F_n) * points.dx
 
 
@@ -53,22 +53,24 @@ class EnergyMomentum(Response):
         material: a law at points, with energy and tangent, or an energy per initial volume
             ``psi(F)`` [J/m^3] in UFL.
         points: the body, with the fields of ``set_initial_state``.
-        U: unknown, whose first part is the displacement increment u of the step [m].
+        z: unknown with the increment of displacement u of the step [m].
 
     Attributes:
         F: deformation gradient at the end of the step, 3x3.
         P: first Piola-Kirchhoff stress there [Pa], 3x3.
         work: free energy and what was dissipated there, per initial volume [J/m^3].
-        updates: new fields after a step, for ``ImplicitMPM``.
+        updates: new fields after a step; time loops know them.
         algorithmic_stress: S from above [Pa], 3x3.
 
     Raises:
-        ValueError: for a body that has such a stress already, laws that ``Response`` cannot use, or
-            with a state whose dissipation is not known.
+        ValueError: for a body that has such a stress already or not the fields that it needs, laws
+            that ``Response`` cannot use, or with a state whose dissipation is not known.
     """
 
-    def __init__(self, material: Law | Energy, points: MaterialPoints, U: fem.Function) -> None:
+    def __init__(self, material: Law | Energy, points: MaterialPoints, z: Unknown) -> None:
         """Write down the stress."""
+        z.require("u", of="an energy-momentum stress")
+        require_initial_state(points, "energy-momentum stress")
         if "S" in points:
             raise ValueError(
                 "the body has the stress and work of another EnergyMomentum: there is one for all "
@@ -79,18 +81,18 @@ class EnergyMomentum(Response):
                 f"energy cannot be kept by {material!r}: a law with a state needs a field "
                 f"'dissipation' [J/m^3] in it, among {', '.join(material.state)}"
             )
-        super().__init__(material, points, Kinematics(parts(U)[0], points).F)
-        self._points = points
+        super().__init__(material, points, Kinematics(z.u, points).F)
+        self._points, self._z = points, z
         F_n = points.field("F")
         before = Response(material, points, F_n)
         for name, value in {"S": before.S, "work": before.work}.items():
             points.add_field(name, value.ufl_shape, evaluate(value, points))
         S, S_n = self.S, points.field("S")
-        S_n.history = ("S", "work")
+        S_n.renewals = {"S": S, "work": self.work}
         self.algorithmic_stress = self._discrete_derivative(
             self.work - points.field("work"), (S + S_n) / 2
         )
-        self.updates = {**self.updates, "S": S, "work": self.work}
+        self.updates = {**self.updates, **S_n.renewals}
 
     def _discrete_derivative(self, gain: Any, mean: Any) -> Any:
         """Tensor nearest to a mean whose product with Delta C / 2 is the gain (equation 47)."""
@@ -100,17 +102,10 @@ class EnergyMomentum(Response):
         size += _SMALL**4 / (size + _SMALL**2)
         return mean + (2 * gain - ufl.inner(mean, change)) / size * change
 
-    def power(self, V: Any) -> ufl.Form:
-        """Internal virtual work at the middle of the step (equation 39).
-
-        Args:
-            V: test function of the unknown's space.
-
-        Returns:
-            UFL form of rank 1 over the points.
-        """
+    def power(self) -> ufl.Form:
+        """Internal virtual work at the middle of the step (equation 39), of rank 1."""
         middle = (self.F + self._points.field("F")) / 2
-        return stress_power(middle * self.algorithmic_stress, V, self._points)
+        return stress_power(middle * self.algorithmic_stress, self._z.test.u, self._points)
 
 
 _SMALL = 1e-6  # see EnergyMomentum

@@ -3,21 +3,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import ufl
 from dolfinx import fem
 
+from fenicsmpm.basis import is_linear
 from fenicsmpm.cells import ActiveCells
-from fenicsmpm.formulations.mixed import MixedLaw, parts
+from fenicsmpm.formulations.mixed import MixedLaw
 from fenicsmpm.formulations.time_scheme import TimeScheme
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, VonMises
 from fenicsmpm.points.geometry import cell_geometry
 
 
 def ghost_penalty(
-    U: fem.Function,
-    V: Any,
+    z: Unknown,
     cells: ActiveCells,
     law: MixedLaw | Hencky | VonMises,
     *,
@@ -32,8 +34,7 @@ def ghost_penalty(
     step, however short: in short steps take ``cells.Tying``.
 
     Args:
-        U: increment of displacement [m], and pressure [Pa].
-        V: test function.
+        z: unknown with the increment of displacement u [m], and the pressure p [Pa] if it has one.
         cells: active cells of the body and of boundary points that carry loads.
         law: constitutive law.
         gamma: factor [-]; 1 begins to stiffen the body.
@@ -45,23 +46,24 @@ def ghost_penalty(
         ValueError: for a factor that is not positive, or a law without a shear modulus.
     """
     _check(gamma)
-    u, *pressure = parts(U)[:2]
-    w, *test = parts(V)[:2]
+    z.require("u", of="the ghost penalty")
     h, jump = _facets(cells)
+    parts = ["u", "p"] if "p" in z else ["u"]
+    dS = _measure(cells, [z.part_space(part) for part in parts])
     mu = law.modulus(h**2) if hasattr(law, "modulus") else getattr(law, "mu", None)
     if mu is None:
         raise ValueError(
             f"the ghost penalty needs a law with a shear modulus mu, such as NeoHookean, Hencky "
             f"or VonMises, not {law!r}"
         )
-    penalty = mu * h * ufl.inner(jump(u), jump(w))
-    for p, q in zip(pressure, test, strict=True):
-        penalty -= h**3 / (2 * mu) * jump(p) * jump(q)
-    return gamma * penalty * cells.dS
+    penalty = mu * h * ufl.inner(jump(z.u), jump(z.test.u))
+    if "p" in z:
+        penalty -= h**3 / (2 * mu) * jump(z.p) * jump(z.test.p)
+    return gamma * penalty * dS
 
 
 def ghost_mass(
-    V: Any, cells: ActiveCells, scheme: TimeScheme, density: float, *, gamma: float = 0.1
+    cells: ActiveCells, scheme: TimeScheme, density: float, *, gamma: float = 0.1
 ) -> ufl.Form:
     """Inertia of nodes with little material: gamma rho h^3 [dn a] . [dn w] over cut cells' facets.
 
@@ -70,7 +72,6 @@ def ghost_mass(
     loses; ``cells.Tying`` regularizes the mass as well, and conserves energy.
 
     Args:
-        V: test function.
         cells: active cells of the body.
         scheme: time scheme, whose acceleration it takes [m/s^2].
         density: of the undeformed body [kg/m^d].
@@ -81,13 +82,23 @@ def ghost_mass(
     """
     _check(gamma)
     h, jump = _facets(cells)
-    inertia = ufl.inner(jump(scheme.acceleration), jump(parts(V)[0]))
-    return gamma * density * h**3 * inertia * cells.dS
+    inertia = ufl.inner(jump(scheme.acceleration), jump(scheme.w))
+    assert scheme.unknown.moving is not None  # checked by the scheme
+    dS = _measure(cells, [scheme.unknown.part_space(scheme.unknown.moving)])
+    return gamma * density * h**3 * inertia * dS
 
 
 def _check(gamma: float) -> None:
     if not gamma > 0:
         raise ValueError(f"the factor of the ghost penalty must be positive: gamma = {gamma}")
+
+
+def _measure(cells: ActiveCells, spaces: Sequence[fem.FunctionSpace]) -> ufl.Measure:
+    """Of the facets; gradients of linear functions on simplices are constant, UFL thinks not."""
+    simple = cell_geometry(cells.mesh).is_simplex
+    if simple and all(is_linear(V.ufl_element()) for V in spaces):
+        return cells.dS(metadata={"quadrature_degree": 0})
+    return cells.dS
 
 
 def _facets(cells: ActiveCells) -> Any:

@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm.materials.law import finite
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.of_position import OfPosition, vectors_at
 
 
 def set_initial_state(
     points: MaterialPoints,
-    density: float,
-    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None = None,
+    density: npt.ArrayLike,
+    velocity: npt.ArrayLike | OfPosition | None = None,
 ) -> None:
     """Give undeformed points the fields of a body in motion, for any time loop (collective).
 
@@ -25,42 +25,87 @@ def set_initial_state(
 
     Args:
         points: the body, with its volumes as weights.
-        density: [kg/m^d].
-        velocity: function of the positions ``(n, d)`` to initial velocities ``(n, d)``; None for
-            a body at rest.
+        density: [kg/m^d], one number or one for each point of this rank, ``(n,)``.
+        velocity: initial velocity of all points ``(d,)`` [m/s], or a function as in dolfinx, from
+            positions ``(3, n)`` [m] to velocities ``(d, n)``; None for a body at rest.
 
     Raises:
-        ValueError: for a density that is not positive and finite, or velocities of another shape
-            than the positions; the points are as before.
+        ValueError: on all ranks, for densities that are not positive and finite or of another
+            shape, or velocities of another shape. The points are as before, also where the function
+            raises something else on any rank.
     """
-    if not 0 < density < np.inf:
-        raise ValueError(f"the density must be positive and finite: {density}")
-    v = np.zeros(points.x.shape) if velocity is None else np.asarray(velocity(points.x))
-    error = None
-    if v.shape != points.x.shape:
-        error = ValueError(f"velocities of shape {v.shape} at points of shape {points.x.shape}")
+    error, rho = _density(density, len(points))
     raise_together(points.mesh.comm, error)
+    motion = _motion(velocity, points)
     dim = points.mesh.geometry.dim
-    points.add_field("mass", (), density * points.weight)
+    points.add_field("mass", (), rho * points.weight)
     points.add_field("V_0", (), points.weight)
     points.add_field("F", (3, 3), np.eye(3))
     points.add_field("J", (), 1.0)
     points.add_field("u", (dim,))
-    points.add_field("v", (dim,), v)
+    points.add_field("v", (dim,), motion["v"])
     if velocity is not None:
-        lower, upper = points.bounds
-        gradient = _gradient(velocity, points.x, 1e-5 * float(np.max(upper - lower)))
-        points.add_field("grad_v", (dim, dim), gradient)
+        points.add_field("grad_v", (dim, dim), motion["grad_v"])
 
 
-def _gradient(
-    velocity: Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
-    x: npt.NDArray[np.float64],
-    step: float,
-) -> npt.NDArray[np.float64]:
-    """``(n, d, d)`` gradient of a function of positions, by differences over a step [m]."""
-    step = step or 1.0  # a single point
-    differences = [
-        np.asarray(velocity(x + e)) - np.asarray(velocity(x - e)) for e in step * np.eye(x.shape[1])
-    ]
-    return np.stack(differences, axis=-1) / (2 * step)
+def _density(density: npt.ArrayLike, n: int) -> tuple[ValueError | None, npt.NDArray[np.float64]]:
+    """Densities, ``(n,)`` or ``()``, and what is wrong with them."""
+    try:
+        rho = finite(density, "densities")
+    except ValueError as error:
+        return error, np.empty(0)
+    if rho.shape not in ((), (n,)):
+        return ValueError(f"densities of shape {rho.shape} for {n} points: needs () or ({n},)"), rho
+    bad = np.flatnonzero(rho <= 0)
+    if not len(bad):
+        return None, rho
+    where = "" if rho.shape == () else f" at point {bad[0]} ({len(bad)} of {n} are not)"
+    return ValueError(f"the density must be positive: {rho.flat[bad[0]]} kg/m^d{where}"), rho
+
+
+def _motion(
+    velocity: npt.ArrayLike | OfPosition | None, points: MaterialPoints
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Velocity "v" and its gradient "grad_v", of each point or all alike (collective)."""
+    dim = points.mesh.geometry.dim
+    if callable(velocity):
+        error, v = vectors_at(velocity, points.x)
+        raise_together(points.mesh.comm, error)
+        lower, upper = points.bounds()
+        step = 1e-5 * float(np.max(upper - lower)) or 1.0  # a single point
+        return {"v": v, "grad_v": _gradient(velocity, points, step)}
+    v = np.zeros(dim) if velocity is None else np.asarray(velocity, dtype=np.float64)
+    if v.shape != (dim,):
+        raise ValueError(
+            f"a velocity of all points needs the shape ({dim},), not {v.shape}: give a function of "
+            "positions if they move differently"
+        )
+    return {"v": v, "grad_v": np.zeros((dim, dim))}
+
+
+def _gradient(velocity: OfPosition, points: MaterialPoints, step: float) -> npt.NDArray[np.float64]:
+    """``(n, d, d)`` gradient at points by differences over a step [m] (collective)."""
+    errors: list[Exception | None] = []
+    gradient = np.empty((*points.x.shape, points.x.shape[1]))
+    for k, e in enumerate(step * np.eye(points.x.shape[1])):
+        ahead, forward = vectors_at(velocity, points.x + e)
+        behind, back = vectors_at(velocity, points.x - e)
+        errors += [ahead, behind]
+        gradient[..., k] = (forward - back) / (2 * step)
+    raise_together(points.mesh.comm, next(filter(None, errors), None))
+    return gradient
+
+
+def require_initial_state(points: MaterialPoints, what: str) -> None:
+    """Raise ValueError for points without the fields of ``set_initial_state``.
+
+    Args:
+        points: the body.
+        what: needs them.
+    """
+    missing = [name for name in ("F", "J", "mass", "V_0") if name not in points]
+    if missing:
+        raise ValueError(
+            f"a body without the fields {', '.join(missing)} has no {what}: call "
+            "set_initial_state(points, density) first"
+        )

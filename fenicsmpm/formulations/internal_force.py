@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm.formulations.fbar import FBar, default_fbar
+from fenicsmpm.formulations.initial_state import require_initial_state
 from fenicsmpm.formulations.kinematics import embed
 from fenicsmpm.formulations.time_scheme import density
 from fenicsmpm.materials import Law, NeoHookean, state_of, stress
@@ -63,12 +64,7 @@ class CauchyStress(PointField):
 
     def __init__(self, points: MaterialPoints, law: Law, averages: FBar | None) -> None:
         """Add the fields that are missing."""
-        missing = [name for name in ("F", "J", "mass", "V_0") if name not in points]
-        if missing:
-            raise ValueError(
-                f"a body without the fields {', '.join(missing)} has no stress: call "
-                "set_initial_state(points, density) first"
-            )
+        require_initial_state(points, "stress")
         for name, (shape, value) in law.state.items():
             if name not in points:
                 points.add_field(name, shape, value)
@@ -110,8 +106,8 @@ def internal_force(
         in it as the field "sigma", an energy with its derivative.
 
     Raises:
-        ValueError: see ``CauchyStress``; for ``NeoHookean`` with nu = 0.5, which has no stress at a
-            point.
+        ValueError: see ``CauchyStress``; for a body without the fields of ``set_initial_state``,
+            and for ``NeoHookean`` with nu = 0.5, which has no stress at a point.
     """
     if isinstance(material, NeoHookean):
         material = material.pointwise()
@@ -119,6 +115,7 @@ def internal_force(
         averages = default_fbar(material) if fbar == "default" else fbar
         sigma = CauchyStress(points, material, averages)
         return stress_work(sigma, w) * points.dx
+    require_initial_state(points, "stress")
     F = points.field("F")
     if isinstance(fbar, FBar):
         dim = points.mesh.geometry.dim

@@ -22,6 +22,11 @@ def embed(A: Any) -> Any:
     return ufl.as_tensor([[A[0, 0], A[0, 1], 0], [A[1, 0], A[1, 1], 0], [0, 0, 0]])
 
 
+def gradient_before(points: MaterialPoints) -> Any:
+    """Deformation gradient at the beginning of a step, 3x3 UFL: field "F", or I without one."""
+    return points.field("F") if "F" in points else ufl.Identity(3)
+
+
 class Kinematics:
     """Deformation of a step at the points, as UFL expressions.
 
@@ -45,14 +50,9 @@ class Kinematics:
         self.points = points
         self.f = ufl.Identity(dim) + ufl.grad(u)
         self.j = ufl.det(self.f)
-        f3 = ufl.Identity(3) + embed(ufl.grad(u))
-        if "F" in points:
-            F_n = points.field("F")
-            self.F = f3 * F_n
-            self.J_n = ufl.det(F_n)
-        else:
-            self.F = f3
-            self.J_n = ufl.as_ufl(1.0)
+        F_n = gradient_before(points)
+        self.F = (ufl.Identity(3) + embed(ufl.grad(u))) * F_n
+        self.J_n = ufl.det(F_n)
         self.J = self.j * self.J_n
 
     def cofactor(self) -> Any:

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 
-from fenicsmpm.formulations.mixed import parts
 from fenicsmpm.formulations.time_scheme import TimeScheme
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.points import MaterialPoints
 
 
@@ -26,7 +25,7 @@ class Midpoint(TimeScheme):
     method is of first order and damps strongly.
 
     Args:
-        U: unknown, whose first part is the displacement increment u [m].
+        unknown: with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
         flip: 1 for FLIP (equation 29), 0 for PIC (equation 28), or between.
         lumping: share epsilon of the lumped mass [-].
@@ -42,25 +41,27 @@ class Midpoint(TimeScheme):
     """
 
     def __init__(
-        self, U: fem.Function, *, dt: float, flip: float = 1.0, lumping: float = 0.0
+        self, unknown: Unknown, *, dt: float, flip: float = 1.0, lumping: float = 0.0
     ) -> None:
         """Write down velocity and acceleration."""
-        super().__init__(U, dt, flip, ("v",))
+        super().__init__(unknown, dt, flip, ("v",))
         if not 0 <= lumping <= 1:
             raise ValueError(f"the share of the lumped mass must lie in [0, 1]: {lumping}")
         self.lumping = lumping
-        self.increment = parts(U)[0]
+        self.increment = self.u
         self._velocity = 2 * self.increment / self.dt - self.histories["v"]
         self.acceleration = (self._velocity - self.histories["v"]) / self.dt
 
-    def inertia(self, V: Any, points: MaterialPoints) -> ufl.Form:
+    def inertia(self, points: MaterialPoints) -> ufl.Form:
         """See ``TimeScheme``; with the effective mass (equation 18), as velocities are mapped."""
-        consistent, lumped = super().inertia(V, points), super().lumped(V, points)
-        if self.lumping in (0, 1):
-            return lumped if self.lumping else consistent
+        if self.lumping == 0:
+            return super().inertia(points)
+        if self.lumping == 1:
+            return super().lumped(points)
+        consistent, lumped = super().inertia(points), super().lumped(points)
         return (1 - self.lumping) * consistent + self.lumping * lumped
 
-    def lumped(self, V: Any, points: MaterialPoints) -> ufl.Form:
+    def lumped(self, points: MaterialPoints) -> ufl.Form:
         """See ``TimeScheme``.
 
         Raises:
@@ -71,7 +72,7 @@ class Midpoint(TimeScheme):
                 f"velocities are mapped with a share of {self.lumping:g} of the lumped mass: give "
                 "Midpoint lumping=1, or take scheme.inertia, which has the same share"
             )
-        return super().lumped(V, points)
+        return super().lumped(points)
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
         """None: steps start from no motion, from where Newton's method needs the fewest iterations.
@@ -79,6 +80,14 @@ class Midpoint(TimeScheme):
         A motion that goes on as it was turns, stretches and presses together what only turns.
         """
         return []
+
+    def middle(self, part: str) -> Any:
+        """Value of a history of the unknown in the middle of the step, UFL.
+
+        Args:
+            part: its name.
+        """
+        return (getattr(self.unknown.old, part) + getattr(self.unknown, part)) / 2
 
     def velocity(self) -> Any:
         """Velocity on the grid in the middle of the step [m/s], UFL."""

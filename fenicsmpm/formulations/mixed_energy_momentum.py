@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import fem
 
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum
-from fenicsmpm.formulations.mixed import parts
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints
 
@@ -32,7 +31,7 @@ class MixedEnergyMomentum(EnergyMomentum):
     its sign from step to step: nothing damps it.
 
     Nodes that few points see are to be tied, as the pressure is ill there, in both parts of the
-    space: ``cells.Tying(U.function_space, ...)``. The mean p_K needs finite elements or cubic
+    space: ``cells.Tying(z.space, ...)``. The mean p_K needs finite elements or cubic
     splines (``ufl.cell_avg``); with quadratic ones and uGIMP, set alpha = 0.
 
     Volume is kept step by step, not since the start: J = 1 would have to correct what the last
@@ -41,13 +40,13 @@ class MixedEnergyMomentum(EnergyMomentum):
     Args:
         law: neo-Hookean law with volumetric="quadratic", whose p is linear in J; any for nu = 0.5.
         points: the body, with the fields of ``set_initial_state``.
-        U: unknown of a mixed space: displacement increment [m] and pressure of the step [Pa].
+        z: unknown with the increment of displacement u [m] and the pressure p of the step [Pa].
         alpha: factor of the stabilization [-].
 
     Attributes:
         algorithmic_stress: S from above [Pa], 3x3.
-        updates: new fields after a step, for ``ImplicitMPM``: "theta" [-], "r" [Pa] (zero at first)
-            and those of the isochoric part. P, S and work are of that part only.
+        updates: new fields after a step, which time loops know: "theta" [-], "r" [Pa] (zero at
+            first) and those of the isochoric part. P, S and work are of that part only.
 
     Raises:
         ValueError: for spaces without pressure, other volumetric laws, a negative alpha, or points
@@ -55,10 +54,11 @@ class MixedEnergyMomentum(EnergyMomentum):
     """
 
     def __init__(
-        self, law: NeoHookean, points: MaterialPoints, U: fem.Function, *, alpha: float = 1.0
+        self, law: NeoHookean, points: MaterialPoints, z: Unknown, *, alpha: float = 1.0
     ) -> None:
         """Write down stress and strains."""
-        p = parts(U, 2)[1]
+        z.require("u", "p", of="the mixed formulation")
+        p = z.p
         if law.inverse_kappa > 0 and law.volumetric != "quadratic":
             raise ValueError(
                 f"energy is kept with volumetric='quadratic' only, as pressures are linear in J "
@@ -69,7 +69,7 @@ class MixedEnergyMomentum(EnergyMomentum):
         taken = sorted({"theta", "r"} & set(points.field_names))
         if taken:
             raise ValueError(f"the body has a field {taken[0]!r} already, which is to be made here")
-        super().__init__(lambda F: law.energy(F, ufl.det(F)), points, U)
+        super().__init__(lambda F: law.energy(F, ufl.det(F)), points, z)
         self._law, self._alpha = law, alpha
         F, F_n = self.F, points.field("F")
         J, J_n = ufl.det(F), ufl.det(F_n)
@@ -81,21 +81,14 @@ class MixedEnergyMomentum(EnergyMomentum):
         if alpha > 0:
             points.add_field("r", (), 0.0)
             means["r"] = p - ufl.cell_avg(p)
-        for name in means:
-            points.field(name).history = tuple(means)
         ends = {name: 2 * mean - points.field(name) for name, mean in means.items()}
+        for name in ends:
+            points.field(name).renewals = ends
         self.updates = {**self.updates, **ends}
 
-    def power(self, V: Any) -> ufl.Form:
-        """Internal virtual work, and the constraint of the volume in weak form.
-
-        Args:
-            V: test function of the unknown's space.
-
-        Returns:
-            UFL form of rank 1 over the points.
-        """
-        q = parts(V, 2)[1]
+    def power(self) -> ufl.Form:
+        """Internal virtual work, and the constraint of the volume in weak form, of rank 1."""
+        q = self._z.test.p
         points, F_n = self._points, self._points.field("F")
 
         def gain(name: str) -> Any:
@@ -104,7 +97,7 @@ class MixedEnergyMomentum(EnergyMomentum):
         constraint = (ufl.det(self.F) - ufl.det(F_n) - gain("theta")) * q
         if self._alpha > 0:
             constraint -= self._alpha / self._law.mu * gain("r") * (q - ufl.cell_avg(q))
-        return super().power(V) + constraint / ufl.det(F_n) * points.dx
+        return super().power() + constraint / ufl.det(F_n) * points.dx
 
     def volumetric_energy(self) -> float:
         """Energy of volumetric strain and stabilization [J] (collective)."""

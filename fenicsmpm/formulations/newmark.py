@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from fenicsmpm.formulations.mixed import parts
 from fenicsmpm.formulations.time_scheme import TimeScheme
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.points import MaterialPoints
 
 
@@ -26,7 +26,7 @@ class Newmark(TimeScheme):
     stable: pressures alternate and energy grows. ``GeneralizedAlpha`` is meant for these.
 
     Args:
-        U: unknown, whose first part is the displacement increment u [m].
+        unknown: with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
         beta: parameter [-].
         gamma: parameter [-].
@@ -47,7 +47,7 @@ class Newmark(TimeScheme):
 
     def __init__(
         self,
-        U: fem.Function,
+        unknown: Unknown,
         *,
         dt: float,
         beta: float = 0.25,
@@ -55,19 +55,19 @@ class Newmark(TimeScheme):
         flip: float = 1.0,
     ) -> None:
         """Write down the acceleration."""
-        super().__init__(U, dt, flip, ("v", "a"))
+        super().__init__(unknown, dt, flip, ("v", "a"))
         if not (beta > 0 and gamma >= 0.5):
             raise ValueError(
                 f"Newmark's parameters must be beta > 0 and gamma >= 0.5: {beta}, {gamma}"
             )
-        mesh = U.function_space.mesh
+        mesh = unknown.mesh
         self._parameters = (beta, gamma, self.alpha_m, 1 - self.alpha_f)
         constants = [fem.Constant(mesh, float(value)) for value in self._parameters]
         self._beta, self._gamma, self._alpha_m, self._share = constants
         v, a = self.histories["v"], self.histories["a"]
         dt_, beta_ = self.dt, self._beta
         # the equations hold at n + 1 - alpha_f, so u is only a share of the step's increment
-        self.increment = parts(U)[0] / self._share
+        self.increment = self.u / self._share
         predicted = dt_ * v + dt_**2 * (0.5 - beta_) * a
         self._new_acceleration = (self.increment - predicted) / (beta_ * dt_**2)
         self.acceleration = (1 - self._alpha_m) * self._new_acceleration + self._alpha_m * a
@@ -140,21 +140,21 @@ class GeneralizedAlpha(Newmark):
     unknowns; inertia is taken at n + 1 - alpha_m.
 
     Args:
-        U: unknown, whose first part is the displacement increment [m] until n + 1 - alpha_f.
+        unknown: as there, with the displacement increment [m] until n + 1 - alpha_f.
         dt: time step [s].
         rho_inf: spectral radius at infinite frequency, 0 to 1: less dissipates more.
         flip: see ``Newmark``.
     """
 
     def __init__(
-        self, U: fem.Function, *, dt: float, rho_inf: float = 0.8, flip: float = 1.0
+        self, unknown: Unknown, *, dt: float, rho_inf: float = 0.8, flip: float = 1.0
     ) -> None:
         """Find the parameters."""
         if not 0 <= rho_inf <= 1:
             raise ValueError(f"the spectral radius must lie in [0, 1]: rho_inf = {rho_inf}")
         self.alpha_m, self.alpha_f = self._alphas(rho_inf)
         shift = self.alpha_f - self.alpha_m
-        super().__init__(U, dt=dt, beta=(1 + shift) ** 2 / 4, gamma=0.5 + shift, flip=flip)
+        super().__init__(unknown, dt=dt, beta=(1 + shift) ** 2 / 4, gamma=0.5 + shift, flip=flip)
 
     @staticmethod
     def _alphas(rho: float) -> tuple[float, float]:

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import ufl
+from dolfinx import fem
 
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.time_scheme import TimeScheme
-from fenicsmpm.materials.law import positive
+from fenicsmpm.materials.law import number, positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.point_field import PointField
 
 
 class NewtonianFlow:
@@ -48,34 +50,39 @@ class NewtonianFlow:
         self, mu: float, density: float, scheme: TimeScheme, correction: float = 0.0
     ) -> None:
         """Check and store the parameters."""
-        positive(mu, "mu", "viscosity", "Pa s")
-        positive(density, "density", "density", "kg/m^d")
-        if not 0 <= correction <= 1:
+        self.mu = positive(mu, "mu", "viscosity", "Pa s")
+        self.density = positive(density, "density", "density", "kg/m^d")
+        self.correction = number(correction, "correction", "correction of volume", "-")
+        if not 0 <= self.correction <= 1:
             raise ValueError(f"the correction of volume is a share from 0 to 1: {correction}")
-        self.mu, self.density, self.scheme, self.correction = mu, density, scheme, correction
+        self.scheme = scheme
 
     def deviatoric_power(self, k: Kinematics, U: Any, V: Any) -> Any:
         """Virtual work of viscous stress per volume before the step [J/m^3].
 
         Args:
             k: ``Kinematics`` of the step.
-            U: unknown of the step.
+            U: function of the unknown.
             V: its variation.
 
         Raises:
             ValueError: for the unknown of another time scheme.
         """
-        if U is not self.scheme.U:
+        if U is not self.scheme.unknown.U:
             raise ValueError("the time scheme of the fluid is one of another unknown")
-        _dilation(k.points)
         rate = ufl.sym(k.grad(self.scheme.velocity()))
-        w = ufl.split(V)[0]
+        w = ufl.derivative(self.scheme.u, U, V)
         return 2 * self.mu * k.j * ufl.inner(rate, k.grad(w))
 
     def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
-        """Change of volume in the whole step, and the correction of earlier ones [-]."""
+        """Change of volume in the whole step, and the correction of earlier ones [-].
+
+        Raises:
+            ValueError: for points of another density.
+        """
         change = Kinematics(self.scheme.increment, k.points).j - 1
-        return change + self.correction * _dilation(k.points) if self.correction > 0 else change
+        correction = fem.Constant(k.points.mesh, float(self.correction))
+        return change + correction * self._dilation(k.points)
 
     def modulus(self, h_squared: Any) -> Any:
         """Shear modulus [Pa] to which viscosity and inertia amount in cells of size h."""
@@ -90,15 +97,8 @@ class NewtonianFlow:
         squared = ufl.inner(v, v) + abs(p) / self.density
         return (self.mu + self.density * ufl.sqrt(squared * h_squared) / 2) * self.scheme.rates[0]
 
-    def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New fields for ``ImplicitMPM``: volumes stay; "dilation" is the sum of det f - 1 so far.
-
-        Args:
-            points: the fluid (collective).
-
-        Raises:
-            ValueError: for points of another density.
-        """
+    def _dilation(self, points: MaterialPoints) -> PointField:
+        """Sum of det f - 1 so far, whose renewal keeps the volumes of the points (collective)."""
         found = points["mass"] / points["V_0"]
         wrong = found[~(np.abs(found / self.density - 1) < _SAME)]
         error = (
@@ -109,11 +109,14 @@ class NewtonianFlow:
             else None
         )
         raise_together(points.mesh.comm, error)
-        k = Kinematics(self.scheme.increment, points)
-        dilation = _dilation(points) + k.j - 1
+        if "dilation" not in points:
+            points.add_field("dilation")
+        field = points.field("dilation")
+        j = Kinematics(self.scheme.increment, points).j
         # a point that a step turns inside out must not go unseen
-        J = ufl.conditional(k.j > 0, points.field("J"), k.j)
-        return {"F": points.field("F"), "J": J, "dilation": dilation}
+        J = ufl.conditional(j > 0, points.field("J"), j)
+        field.renewals = {"F": points.field("F"), "J": J, "dilation": field + j - 1}
+        return field
 
     def __repr__(self) -> str:
         """Parameters with units."""
@@ -124,12 +127,3 @@ class NewtonianFlow:
 
 
 _SAME = 1e-6  # relative difference of densities that are meant to be the same
-
-
-def _dilation(points: MaterialPoints) -> Any:
-    """What points have changed in volume by; a sign that they need ``updates``."""
-    if "dilation" not in points:
-        points.add_field("dilation")
-    field = points.field("dilation")
-    field.history = ("F", "J", "dilation")
-    return field

@@ -37,7 +37,7 @@ class Response:
         F: the deformation gradient.
         P: first Piola-Kirchhoff stress [Pa], 3x3.
         work: free energy and what was dissipated, per initial volume [J/m^3].
-        updates: new fields of the state after a step that ends with F, for ``ImplicitMPM``.
+        updates: new fields of the state after a step that ends with F; time loops know them.
 
     Raises:
         ValueError: for a law without energy or tangent, or one that depends on velocities.
@@ -52,12 +52,11 @@ class Response:
             self.work = material(variable)
             self.P = ufl.diff(self.work, variable)
             return
-        self.updates = {}
         for name, (shape, value) in material.state.items():
             if name not in points:
                 points.add_field(name, shape, value)
         computed = _Computed(material, points, F)
-        self.updates = {name: computed.new_field(name) for name in material.state}
+        self.updates = computed.renewals
         # Linear in F about the gradient F_0 for which the law was called: as this is the present
         # one whenever a form is assembled, values are those of the law and ufl.derivative finds its
         # tangent.
@@ -90,14 +89,15 @@ class _Computed:
         self._values: dict[str, Array] = {}
         self._old = self._state = law.initial_state(0)
         self._has_dissipation = "dissipation" in law.columns
+        self.renewals = {name: self._new_field(name) for name in law.state}
 
     def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
         """One of the results as a coefficient: "F_0", "P_0", "dPdF" or "work_0"."""
         result = ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
-        result.history = tuple(self._law.columns)
+        result.renewals = self.renewals
         return result
 
-    def new_field(self, name: str) -> Callable[[], Array]:
+    def _new_field(self, name: str) -> Callable[[], Array]:
         """Function that returns a field of the state after the step."""
 
         def read() -> Array:

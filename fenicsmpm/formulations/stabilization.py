@@ -9,15 +9,18 @@ from __future__ import annotations
 from typing import Any
 
 import ufl
-from dolfinx import fem
 
 from fenicsmpm.cells import FilledFraction
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.formulations.mixed import MixedLaw, mixed, parts, require_linear
+from fenicsmpm.formulations.mixed import MixedLaw, mixed
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
+from fenicsmpm.formulations.unknown import Part, Unknown
 from fenicsmpm.points import MaterialPoints
 
 STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
+
+# Further parts of the unknown of OSGS
+PROJECTIONS = (Part("Pi_u", is_vector=True, initial=0.0), Part("Pi_p", initial=0.0))
 
 
 def element_size(points: MaterialPoints) -> Any:
@@ -70,16 +73,13 @@ def _h_squared(points: MaterialPoints) -> Any:
     return _cell_volume(points) ** (2 / points.mesh.geometry.dim)
 
 
-def ppp(
-    U: fem.Function, V: Any, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0
-) -> ufl.Form:
+def ppp(z: Unknown, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0) -> ufl.Form:
     """Polynomial pressure projection of Dohrmann and Bochev, used by VMS for comparison.
 
     -alpha / mu (p - p_K, q - q_K) with the averages over the points of a cell p_K, q_K.
 
     Args:
-        U: increment of displacement and pressure.
-        V: test function.
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
         points: material points.
         law: constitutive law.
         alpha: factor [-].
@@ -87,17 +87,15 @@ def ppp(
     Returns:
         UFL form of rank 1.
     """
-    u, p = parts(U, 2)[:2]
-    _, q = parts(V, 2)[:2]
-    j = Kinematics(u, points).j
+    z.require("u", "p", of="PPP")
+    p, q, j = z.p, z.test.p, Kinematics(z.u, points).j
     rough_p = p - ufl.cell_avg(p)
     rough_q = q - ufl.cell_avg(q)
     return -alpha / law.modulus(_h_squared(points)) * j * rough_p * rough_q * points.dx
 
 
 def asgs(
-    U: fem.Function,
-    V: Any,
+    z: Unknown,
     points: MaterialPoints,
     law: MixedLaw,
     *,
@@ -111,8 +109,7 @@ def asgs(
     The divergence of the deviatoric stress, zero for linear triangles and tetrahedra, is left out.
 
     Args:
-        U: increment of displacement [m] and pressure [Pa].
-        V: test function.
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
@@ -123,13 +120,12 @@ def asgs(
     Returns:
         UFL form of rank 1.
     """
-    R_u, R_p = residuals(U, points, law, force)
-    return _subscales(U, V, points, law, R_u, R_p, c1, c2, scheme)
+    R_u, R_p = residuals(z, points, law, force)
+    return _subscales(z, points, law, R_u, R_p, c1, c2, scheme)
 
 
 def osgs(
-    U: fem.Function,
-    V: Any,
+    z: Unknown,
     points: MaterialPoints,
     law: MixedLaw,
     *,
@@ -140,13 +136,12 @@ def osgs(
 ) -> ufl.Form:
     """Orthogonal subgrid scales: residuals minus their lumped projection on the grid.
 
-    The projections are unknowns of the same system (space from ``mixed_space(projections=True)``),
-    so Newton's method keeps its quadratic convergence; VMS lags them by an iteration.
+    The projections are unknowns of the same system, ``Unknown(mesh, "u", "p", *PROJECTIONS)``, so
+    Newton's method keeps its quadratic convergence; VMS lags them by an iteration.
 
     Args:
-        U: increment of displacement [m], pressure [Pa], projection of the momentum residual
-            [N/m^3] and of the volumetric residual [-].
-        V: test function.
+        z: unknown with the increment of displacement u [m], the pressure p [Pa], and the
+            projections of the momentum residual Pi_u [N/m^3] and of the volumetric one Pi_p [-].
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
@@ -157,27 +152,20 @@ def osgs(
     Returns:
         UFL form of rank 1.
     """
-    unknowns = parts(U)
-    if len(unknowns) != 4:
-        raise ValueError(
-            f"OSGS needs a space of (u, p, Pi_u, Pi_p), not {len(unknowns)} parts: "
-            "use mixed_space(mesh, projections=True)"
-        )
-    require_linear(U, "OSGS")
-    Pi_u, Pi_p = unknowns[2:]
-    eta_u, eta_p = parts(V)[2:]
-    R_u, R_p = residuals(U, points, law, force)
+    z.require("u", "p", "Pi_u", "Pi_p", of="OSGS (see formulations.PROJECTIONS)")
+    z.require_linear("OSGS")
+    Pi_u, Pi_p, eta_u, eta_p = z.Pi_u, z.Pi_p, z.test.Pi_u, z.test.Pi_p
+    R_u, R_p = residuals(z, points, law, force)
     projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
     fraction = FilledFraction(points)
     lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
-    subscales = _subscales(U, V, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2, scheme)
+    subscales = _subscales(z, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2, scheme)
     return subscales + lumped - projected
 
 
 def stabilized(
     name: str,
-    U: fem.Function,
-    V: Any,
+    z: Unknown,
     points: MaterialPoints,
     law: MixedLaw,
     *,
@@ -188,8 +176,8 @@ def stabilized(
 
     Args:
         name: "none", "ppp", "asgs" or "osgs".
-        U: increment of displacement [m] and pressure [Pa], and projections for OSGS.
-        V: test function.
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa], and with
+            ``PROJECTIONS`` for OSGS.
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
@@ -201,20 +189,20 @@ def stabilized(
     Raises:
         ValueError: for an unknown name.
     """
-    R = mixed(U, V, points, law, force=force)
+    R = mixed(z, points, law, force=force)
     if name == "none":
         return R
     if name == "ppp":
-        return R + ppp(U, V, points, law)
+        return R + ppp(z, points, law)
     if name == "asgs":
-        return R + asgs(U, V, points, law, force=force, scheme=scheme)
+        return R + asgs(z, points, law, force=force, scheme=scheme)
     if name == "osgs":
-        return R + osgs(U, V, points, law, force=force, scheme=scheme)
+        return R + osgs(z, points, law, force=force, scheme=scheme)
     raise ValueError(f"unknown stabilization {name!r}: use one of {', '.join(STABILIZATIONS)}")
 
 
 def residuals(
-    U: fem.Function, points: MaterialPoints, law: MixedLaw, force: Any = None
+    z: Unknown, points: MaterialPoints, law: MixedLaw, force: Any = None
 ) -> tuple[Any, Any]:
     """Residuals of momentum and of the volumetric law, for linear elements.
 
@@ -223,7 +211,7 @@ def residuals(
     which a stabilization by these residuals adds an error of its own.
 
     Args:
-        U: increment of displacement and pressure.
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
         points: material points.
         law: constitutive law.
         force: body force per volume before the step [N/m^d].
@@ -232,12 +220,12 @@ def residuals(
         j (rho b + grad p) per volume before the step [N/m^3], and the law's volumetric residual,
         of a solid U'(J)/kappa - p/kappa [-].
     """
-    u, p = parts(U, 2)[:2]
-    k = Kinematics(u, points)
-    R_u = _pressure_force(k, p)
+    z.require("u", "p", of="stabilization by residuals")
+    k = Kinematics(z.u, points)
+    R_u = _pressure_force(k, z.p)
     if force is not None:
         R_u += force
-    return R_u, law.volumetric_residual(p, k)
+    return R_u, law.volumetric_residual(z.p, k)
 
 
 def _pressure_force(k: Kinematics, p: Any) -> Any:
@@ -246,7 +234,7 @@ def _pressure_force(k: Kinematics, p: Any) -> Any:
 
 
 def _subscales(
-    U: Any, V: Any, points: MaterialPoints, law: MixedLaw,
+    z: Unknown, points: MaterialPoints, law: MixedLaw,
     S_u: Any, S_p: Any, c1: float, c2: float, scheme: TimeScheme | None,
 ) -> ufl.Form:  # fmt: skip
     """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).
@@ -255,10 +243,8 @@ def _subscales(
     of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q. S_u is
     per volume before the step, hence the division by j.
     """
-    u, p = parts(U, 2)[:2]
-    _, q = parts(V, 2)[:2]
-    k = Kinematics(u, points)
+    k = Kinematics(z.u, points)
     tau1, tau2 = tau(points, law, c1, c2, scheme)
-    adjoint_u = -ufl.derivative(_pressure_force(k, p), U, V)
-    adjoint_p = ufl.derivative(k.j, U, V) - law.inverse_kappa * q
+    adjoint_u = -ufl.derivative(_pressure_force(k, z.p), z.U, z.V)
+    adjoint_p = ufl.derivative(k.j, z.U, z.V) - law.inverse_kappa * z.test.p
     return (tau1 / k.j * ufl.inner(S_u, adjoint_u) + tau2 * S_p * adjoint_p) * points.dx

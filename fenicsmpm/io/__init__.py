@@ -5,19 +5,17 @@ from fenicsmpm.io import checkpoint
 from fenicsmpm.io.console import Table, progress, say, show_log, watch
 from fenicsmpm.io.history import History, read_history
 from fenicsmpm.io.movie import animate
-from fenicsmpm.io.pictures import Panel, colour_range, picture
+from fenicsmpm.io.pictures import picture
 from fenicsmpm.io.plots import plot
 from fenicsmpm.io.results import gather_functions, gather_points, write
 from fenicsmpm.io.series import Series
 
 __all__ = [
     "History",
-    "Panel",
     "Series",
     "Table",
     "animate",
     "checkpoint",
-    "colour_range",
     "gather_functions",
     "gather_points",
     "picture",

@@ -10,6 +10,28 @@ from pathlib import Path
 from typing import BinaryIO
 
 
+def replace(path: Path, content: bytes | memoryview) -> None:
+    """Let a file with this content take the place of another one, or nothing; see ``replacing``.
+
+    Args:
+        path: file to be replaced or made.
+        content: of the new file.
+
+    Raises:
+        OSError: names the file; it is as it was.
+    """
+    try:
+        with replacing(path) as stream:
+            stream.write(content)
+    except OSError as failure:
+        raise OSError(
+            failure.errno,
+            f"it could not be written, an older one is as it was: {failure.strerror}; make room "
+            "or choose another path",
+            str(path),
+        ) from failure
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Write a file beside another one and let it take its place at the end.

@@ -8,7 +8,9 @@ and then restores the checkpoint into it.
 
 from __future__ import annotations
 
+import hashlib
 import io
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +26,9 @@ from fenicsmpm.io.fingerprint import layout, mesh_fingerprint
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import do_there
 
-FORMAT = 1
+logger = logging.getLogger(__name__)
+
+FORMAT = 2
 
 Arrays = dict[str, npt.NDArray]
 Fields = dict[str, tuple[int, ...]]  # shapes of the values at one point
@@ -42,6 +46,7 @@ class Simulation(Protocol):
         number: of steps done.
         method: name of the time integration.
         memory: other numbers that the next step depends on.
+        parameters: what the script has chosen, said in words: laws, grid functions, residual.
         bodies: material points.
         carried: points that move with the grid.
     """
@@ -50,6 +55,7 @@ class Simulation(Protocol):
     number: int
     method: str
     memory: dict[str, float]
+    parameters: dict[str, str]
     bodies: list[MaterialPoints]
     carried: list[MaterialPoints]
 
@@ -72,6 +78,7 @@ class _State:
 
     header: dict[str, Any]
     memory: dict[str, float]
+    parameters: dict[str, str]
     sets: list[_PointSet]
 
 
@@ -117,7 +124,8 @@ def restore(path: str | Path, sim: Simulation) -> None:
     solver itself gives the same bits each time, and for explicit steps, with the same number of
     threads. Otherwise the points go to the ranks that own their cells, and results agree to
     round-off. Grid functions are not part of the state: the unknown has its values again after the
-    next step.
+    next step. What the script has chosen otherwise than before, such as a parameter of a law, is
+    logged as a warning: that may be meant.
 
     Args:
         path: what ``save`` wrote.
@@ -136,6 +144,12 @@ def restore(path: str | Path, sim: Simulation) -> None:
     def read() -> _State:
         state = _read(path, header)
         _check(path, state, header, fields)
+        for name in {**state.parameters, **sim.parameters}:
+            there, here = (p.get(name, "nothing") for p in (state.parameters, sim.parameters))
+            if there != here:
+                logger.warning(
+                    "%s was saved with the %s %s; here it is %s", path, name, there, here
+                )
         return state
 
     state = do_there(comm, comm.rank == 0, read)
@@ -186,7 +200,7 @@ def _fields(points: MaterialPoints) -> Fields:
 def _gather(sim: Simulation) -> _State | None:
     """The state on rank 0, None on the others (collective)."""
     comm = _mesh(sim).comm
-    state = _State(_header(sim), dict(sim.memory), [])
+    state = _State(_header(sim), dict(sim.memory), dict(sim.parameters), [])
     for points in _point_sets(sim):
         counts = comm.gather(len(points))
         arrays = {}
@@ -268,8 +282,9 @@ def _pack(state: _State) -> memoryview:
 
     stream = io.BytesIO()
     with h5py.File(stream, "w") as file:
-        file.attrs.update(state.header)
+        file.attrs.update({**state.header, "checksum": _checksum(state)})
         file.create_group("memory").attrs.update(state.memory)
+        file.create_group("parameters").attrs.update(state.parameters)
         for k, points in enumerate(state.sets):
             group = file.create_group(f"points/{k}")
             group.attrs.update(next_id=points.next_id, counts=points.counts)
@@ -306,6 +321,7 @@ def _unpack(path: Path, file: Any, header: dict[str, Any]) -> _State:
         )
     header = {name: _plain(file.attrs[name]) for name in header}
     memory = {name: float(value) for name, value in file["memory"].attrs.items()}
+    parameters = {name: str(value) for name, value in file["parameters"].attrs.items()}
     sets = []
     for k in range(len(file["points"])):
         group = file[f"points/{k}"]
@@ -318,7 +334,26 @@ def _unpack(path: Path, file: Any, header: dict[str, Any]) -> _State:
                     f"{sum(counts)} points; restore another one"
                 )
         sets.append(_PointSet(int(group.attrs["next_id"]), counts, arrays))
-    return _State(header, memory, sets)
+    state = _State(header, memory, parameters, sets)
+    if file.attrs["checksum"] != _checksum(state):
+        raise CheckpointError(
+            f"checkpoint {path} is damaged: it does not have its checksum; restore another one"
+        )
+    return state
+
+
+def _checksum(state: _State) -> str:
+    """Of all that is saved but for the layout, of which any other one is as good."""
+    digest = hashlib.sha256()
+    header = {name: value for name, value in state.header.items() if name != "layout"}
+    for named in (header, state.memory, state.parameters):
+        digest.update(repr(sorted(named.items())).encode())
+    for points in state.sets:
+        digest.update(repr((points.next_id, points.counts)).encode())
+        for name, array in sorted(points.arrays.items()):
+            digest.update(f"{name} {array.dtype} {array.shape}".encode())
+            digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Histories: numbers that are recorded at each step, in a CSV file."""
+"""Histories: numbers that are recorded at each step."""
 
 from __future__ import annotations
 
@@ -18,85 +18,135 @@ import fenicsmpm
 from fenicsmpm.io.atomic import replacing
 from fenicsmpm.io.series import is_until
 from fenicsmpm.points.agreement import do_there
+from fenicsmpm.simulation.observer import Observer
+from fenicsmpm.simulation.step import Step
+
+TIME = "t [s]"
 
 
-class History:
-    """A CSV file with a row for each ``write``; a program that is killed leaves its rows.
+class History(Observer):
+    """Numbers that a run has at its beginning and after each step, and a CSV file of them.
 
-    Above the titles, lines that begin with # name the package's version and the parameters.
+    ``history["tip [m]"]`` is what was recorded under a title, shape (n_rows,); ``io.plot`` draws
+    it. A program that is killed leaves its rows in the file. Above the titles, lines that begin
+    with # name the package's version and the parameters.
 
     Args:
-        path: file to write, such as "cook.csv"; missing directories are made.
-        columns: title of each column, with the unit, and the function that gives its number, such
-            as ``{"t [s]": lambda: sim.time, "tip [m]": lambda: probe(tip, "u")[1]}``. The first
-            column is the time.
-        parameters: numbers and texts, such as ``{"E [Pa]": 70.0}``.
-        append_after: keep rows of an earlier file up to this time [s]; None for a new file.
+        columns: title of each column, with the unit, and the function of the simulation that gives
+            its number, such as ``{"tip [m]": lambda sim: probe(tip, "u")[1]}``. A first column
+            "t [s]" is always there.
+        path: file to write, such as "cook.csv"; missing directories are made. None for no file.
+        parameters: numbers and texts for the file, such as ``{"E [Pa]": 70.0}``.
+        append: go on with an earlier file, after a restart: rows up to the time at which the run
+            begins are kept.
         comm: communicator of the mesh; rank 0 writes.
 
     Raises:
-        OSError: on all ranks, if the file cannot be written or read.
-        ValueError: on all ranks, if there are no columns, or an earlier file has others.
+        ValueError: if there are no columns.
     """
 
     def __init__(
         self,
-        path: str | Path,
-        columns: Mapping[str, Callable[..., float]],
+        columns: Mapping[str, Callable[[Any], float]],
+        path: str | Path | None = None,
         parameters: Mapping[str, Any] | None = None,
         *,
-        append_after: float | None = None,
+        append: bool = False,
         comm: MPI.Intracomm = MPI.COMM_WORLD,
     ) -> None:
-        """Write the titles, and the rows that are kept (collective)."""
-        self._path, self._columns, self._comm = Path(path).absolute(), dict(columns), comm
+        """Nothing is written before a run begins."""
+        if not columns:
+            raise ValueError("a history needs columns: {'tip [m]': function of the simulation}")
+        self._columns = {TIME: lambda sim: sim.time, **columns}
+        self._path, self._comm = None if path is None else Path(path).absolute(), comm
+        self._parameters, self._append = dict(parameters or {}), append
+        self._rows: list[list[float]] = []
+        self._is_open = False
 
-        def begin() -> None:
-            kept = [] if append_after is None else self._earlier(append_after)
-            lines = [f"# fenicsmpm {fenicsmpm.__version__}\n"]
-            for name, value in (parameters or {}).items():
-                lines.append(f"# {name} = {' '.join(str(value).split())}\n")
-            lines.append(_line(self._titles()))
-            with replacing(self._path) as stream:
-                stream.write("".join(lines + kept).encode())
+    def _open(self, time: float) -> None:
+        """Start the file, and take what is kept of an earlier one (collective)."""
+        rows = do_there(self._comm, self._comm.rank == 0, lambda: self._begin(time))
+        self._rows = self._comm.bcast(rows)
+        self._is_open = True
 
-        do_there(comm, comm.rank == 0, begin)
+    def _begin(self, time: float) -> list[list[float]]:
+        if self._path is None:
+            return []
+        kept = self._earlier(self._path, time) if self._append else []
+        lines = [f"# fenicsmpm {fenicsmpm.__version__}\n"]
+        for name, value in self._parameters.items():
+            lines.append(f"# {name} = {' '.join(str(value).split())}\n")
+        lines += [_line(self.titles), *(_line(row) for row in kept)]
+        with replacing(self._path) as stream:
+            stream.write("".join(lines).encode())
+        return [[float(text) for text in row] for row in kept]
 
-    def write(self, *arguments: Any) -> None:
+    @property
+    def titles(self) -> list[str]:
+        """Titles of all columns, that of the time first."""
+        return list(self._columns)
+
+    def __getitem__(self, title: str) -> npt.NDArray[np.float64]:
+        """What was recorded under a title, shape (n_rows,)."""
+        if title not in self._columns:
+            raise KeyError(f"no column {title!r}; there are {', '.join(self.titles)}")
+        k = self.titles.index(title)
+        return np.array([row[k] for row in self._rows], dtype=np.float64)
+
+    def begin(self, sim: Any) -> None:
+        """Record the state that a run begins with, unless it is known (collective).
+
+        Args:
+            sim: the simulation.
+
+        Raises:
+            OSError: on all ranks, if the file cannot be written or read.
+            ValueError: on all ranks, if an earlier file has other columns.
+        """
+        if not self._is_open:
+            self._open(sim.time)
+        if not self._rows or not is_until(sim.time, self._rows[-1][0]):
+            self.write(sim)
+
+    def done(self, sim: Any, step: Step) -> None:
+        """Record the state after a step."""
+        self.write(sim)
+
+    def write(self, sim: Any) -> None:
         """Append a row (collective).
 
         Args:
-            arguments: passed on to the functions of all columns, for instance the step.
+            sim: what the functions of the columns get; it has a ``time`` [s].
 
         Raises:
             OSError: on all ranks, if the file cannot be written.
             TypeError: on all ranks, if a function does not give one number.
         """
-        values = {title: function(*arguments) for title, function in self._columns.items()}
+        if not self._is_open:
+            self._open(sim.time)
+        values = {title: function(sim) for title, function in self._columns.items()}
+        row = do_there(self._comm, True, lambda: [_number(*item) for item in values.items()])
+        assert row is not None
 
         def append() -> None:
-            row = [_number(title, value) for title, value in values.items()]
+            assert self._path is not None
             with open(self._path, "a", encoding="utf-8", newline="") as stream:
-                stream.write(_line(row))
+                stream.write(_line([repr(value).removesuffix(".0") for value in row]))
 
-        do_there(self._comm, self._comm.rank == 0, append)
+        do_there(self._comm, self._comm.rank == 0 and self._path is not None, append)
+        self._rows.append(row)
 
-    def _titles(self) -> list[str]:
-        if not self._columns:
-            raise ValueError("a history needs columns: {'t [s]': function, ...}")
-        return list(self._columns)
-
-    def _earlier(self, append_after: float) -> list[str]:
-        """Lines of an earlier file up to a time."""
-        if not self._path.exists():
+    def _earlier(self, path: Path, time: float) -> list[list[str]]:
+        """Rows of an earlier file up to a time."""
+        if not path.exists():
             return []
-        titles, rows = _parse(self._path)
-        if titles != self._titles():
+        titles, rows = _parse(path)
+        if titles != self.titles:
             raise ValueError(
-                f"{self._path} has the columns {', '.join(titles)}, not "
-                f"{', '.join(self._titles())}: choose another name for the history"
+                f"{path} has the columns {', '.join(titles)}, not {', '.join(self.titles)}: choose "
+                "another name for the history"
             )
-        return [_line(row) for row in rows if is_until(float(row[0]), append_after)]
+        return [row for row in rows if is_until(float(row[0]), time)]
 
 
 def read_history(path: str | Path) -> dict[str, npt.NDArray[np.float64]]:
@@ -137,11 +187,10 @@ def _line(values: list[str]) -> str:
     return stream.getvalue()
 
 
-def _number(title: str, value: Any) -> str:
-    """The shortest text that gives the same number again."""
+def _number(title: str, value: Any) -> float:
     if np.ndim(value) == 0:
         try:
-            return repr(float(value)).removesuffix(".0")
+            return float(value)
         except (TypeError, ValueError):
             pass
     raise TypeError(f"column {title!r} needs one number, not {value!r}")

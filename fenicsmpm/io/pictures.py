@@ -6,23 +6,29 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 
+from fenicsmpm.io.results import gather_functions, gather_points
+from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import do_there
 
 if TYPE_CHECKING:  # it takes a second to import: only where it is needed
     import pyvista
 
 Bounds = tuple[Sequence[float], Sequence[float]]
+Drawable: TypeAlias = (
+    "MaterialPoints | Sequence[MaterialPoints] | fem.Function | pyvista.DataSet | None"
+)
 
 _COLOURS = "viridis"
 _PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
@@ -30,30 +36,17 @@ _INCHES = 3.75  # the same on paper
 
 
 @dataclass
-class Panel:
-    """One field in one picture.
+class _Panel:
+    """One field in one picture; without a dataset on ranks that do not draw."""
 
-    Attributes:
-        data: what ``gather_points`` or ``gather_functions`` returned; None on ranks other than 0.
-        field: name of the field that gives the colours; of vectors and tensors it is the norm.
-        title: text above.
-        component: component to show instead of the norm, of 3 of a vector or 9 of a tensor.
-        displacement: name of a vector field [m] by which the picture is deformed; None for the
-            positions as they are.
-    """
-
+    title: str
     data: pyvista.DataSet | None
     field: str
-    title: str = ""
-    component: int | None = None
-    displacement: str | None = None
+    component: int | None
+    displacement: str | None
 
     def values(self) -> npt.NDArray[np.float64]:
-        """Numbers to be coloured, one a point or node; on rank 0 only.
-
-        Raises:
-            ValueError: for fields or components that the data do not have.
-        """
+        """Numbers to be coloured, one a point or node."""
         assert self.data is not None
         if self.field not in self.data.point_data:
             raise ValueError(_unknown(self.field, self.data))
@@ -74,70 +67,91 @@ def _unknown(name: str, data: pyvista.DataSet) -> str:
     return f"no field {name!r} to draw; there are {', '.join(data.point_data.keys())}"
 
 
-def colour_range(panels: Sequence[Panel], cut: float = 0.0) -> tuple[float, float] | None:
-    """Range of values of some panels.
-
-    Args:
-        panels: the panels.
-        cut: percent of the values of each panel left out at either end, so that singular points
-            do not take all the colours.
-
-    Returns:
-        Lowest and highest value on rank 0, None on the other ranks.
-    """
-    if panels[0].data is None:
-        return None
-    ends = np.array([np.percentile(panel.values(), [cut, 100 - cut]) for panel in panels])
-    return float(ends[:, 0].min()), float(ends[:, 1].max())
-
-
 def picture(
     path: str | Path,
-    panels: Sequence[Panel],
-    label: str,
+    data: Drawable | Mapping[str, Drawable],
+    field: str | None = None,
+    label: str | None = None,
     *,
+    component: int | None = None,
+    displacement: str | None = None,
     limits: tuple[float, float] | None = None,
+    cut: float = 0.0,
     bounds: Bounds | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> None:
-    """Draw panels beside one another with one colour bar and write them to a file (collective).
+    """Draw one field of points or a grid function and write the picture to a file (collective).
 
-    Plane problems are seen from the front with axes in m, others obliquely. Rank 0 draws. Where
-    VTK needs an X server and there is none, a virtual one (Xvfb) runs while it draws.
+    Several data are drawn beside one another, with one colour bar. Plane problems are seen from the
+    front with axes in m, others obliquely. Rank 0 draws. Where VTK needs an X server and there is
+    none, a virtual one (Xvfb) runs while it draws.
 
     Args:
         path: file to write, such as "pressure.png"; missing directories are made.
-        panels: what to draw.
-        label: text beside the colour bar, with the unit.
-        limits: values of the first and the last colour; None for the range of all panels.
+        data: points, several sets of points that are drawn as one, a P1 function, or what
+            ``gather_points`` or ``gather_functions`` returned at an earlier time; or titles and
+            these, for several pictures.
+        field: name of the field that gives the colours; of vectors and tensors it is the norm. None
+            for the field of a function.
+        label: text beside the colour bar, with the unit; None for the name of the field.
+        component: component to show instead of the norm, of 3 of a vector or 9 of a tensor.
+        displacement: name of a vector field [m] by which the picture is deformed; None for the
+            positions as they are.
+        limits: values of the first and the last colour; None for the range of all data.
+        cut: percent of the values of each of the data that ``limits=None`` leaves out at either
+            end, so that singular points do not take all the colours.
         bounds: lower and upper corner of the box to show [m], the same for all pictures of an
             animation; None for that of the data.
         comm: communicator of the mesh.
 
     Raises:
         RuntimeError: on all ranks, if nothing can render; says what to install.
-        ValueError: on all ranks, for fields or components that the data do not have.
+        ValueError: on all ranks, for fields or components that the data do not have, functions that
+            ``gather_functions`` does not take, and where no field is named.
     """
+    named = data if isinstance(data, Mapping) else {"": data}
+    panels = []
+    for title, one in named.items():
+        name = one.name if field is None and isinstance(one, fem.Function) else field
+        if name is None:
+            raise ValueError(f"{path}: which field is to be drawn? Name it, as in field='p'")
+        panels.append(_Panel(title, _gathered(one), name, component, displacement))
+    if not panels:
+        raise ValueError(f"{path}: nothing to draw")
+    text = label or panels[0].field
 
     def draw() -> None:
         with _display():
-            _draw(Path(path), panels, label, limits or colour_range(panels), bounds)
+            _draw(Path(path), panels, text, limits or _colour_range(panels, cut), bounds)
 
-    do_there(comm, panels[0].data is not None, draw)
+    do_there(comm, comm.rank == 0, draw)
+
+
+def _gathered(data: Drawable) -> pyvista.DataSet | None:
+    if isinstance(data, fem.Function):
+        return gather_functions([data])
+    if isinstance(data, MaterialPoints | Sequence):
+        return gather_points(data)
+    return data
+
+
+def _colour_range(panels: Sequence[_Panel], cut: float = 0.0) -> tuple[float, float]:
+    """Range of values of some panels, without some percent of each at either end."""
+    ends = np.array([np.percentile(panel.values(), [cut, 100 - cut]) for panel in panels])
+    return float(ends[:, 0].min()), float(ends[:, 1].max())
 
 
 def _draw(
     path: Path,
-    panels: Sequence[Panel],
+    panels: Sequence[_Panel],
     label: str,
-    limits: tuple[float, float] | None,
+    limits: tuple[float, float],
     bounds: Bounds | None,
 ) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-    assert limits is not None
     shapes = [_shape(panel) for panel in panels]
     lower = np.min([shape.points.min(axis=0) for shape in shapes], axis=0)
     upper = np.max([shape.points.max(axis=0) for shape in shapes], axis=0)
@@ -184,15 +198,15 @@ def _draw(
     figure.savefig(path, dpi=160)
 
 
-def _cut(panels: Sequence[Panel], limits: tuple[float, float]) -> str:
+def _cut(panels: Sequence[_Panel], limits: tuple[float, float]) -> str:
     """Which ends of the colour bar stand for values beyond it."""
-    low, high = colour_range(panels) or limits
+    low, high = _colour_range(panels)
     span = 1e-9 * (limits[1] - limits[0])
     below, above = low < limits[0] - span, high > limits[1] + span
     return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[(below, above)]
 
 
-def _shape(panel: Panel) -> Any:
+def _shape(panel: _Panel) -> Any:
     """Points or cells of a panel without data, in the positions to be drawn."""
     assert panel.data is not None
     shape = panel.data.copy(deep=False)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy.typing as npt
 
+from fenicsmpm.io.history import History
 from fenicsmpm.points.agreement import do_there
 
 Curve = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -18,9 +19,9 @@ Curve = tuple[npt.ArrayLike, npt.ArrayLike]
 
 def plot(
     path: str | Path,
-    curves: Mapping[str, Curve],
-    xlabel: str,
-    ylabel: str,
+    curves: History | Mapping[str, Curve | History],
+    xlabel: str | None = None,
+    ylabel: str | None = None,
     *,
     reference: Mapping[str, Curve | float] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
@@ -29,18 +30,45 @@ def plot(
 
     Args:
         path: file to write, such as "tip.png"; missing directories are made.
-        curves: label of each curve, and its ``x (n,)`` and ``y (n,)``.
-        xlabel: text at the axis of x, with the unit.
-        ylabel: text at the axis of y, with the unit.
+        curves: a history, of which each column is drawn over the time; or the label of each curve,
+            and its ``x (n,)`` and ``y (n,)`` or a history of one column.
+        xlabel: text at the axis of x, with the unit; None for that of histories.
+        ylabel: text at the axis of y, with the unit; None for the title of a history's one column.
         reference: what to compare with, drawn in broken lines: curves, or one value for all x.
         comm: communicator of the mesh.
 
     Raises:
         OSError: on all ranks, if the file cannot be written.
-        ValueError: on all ranks, if the x and y of a curve differ in number.
+        ValueError: on all ranks, if the x and y of a curve differ in number, a history has several
+            columns where one is needed, or an axis has no text.
     """
-    known = reference or {}
-    do_there(comm, comm.rank == 0, lambda: _draw(Path(path), curves, xlabel, ylabel, known))
+    if isinstance(curves, History):
+        time, *titles = curves.titles
+        lines: dict[str, Curve] = {title: (curves[time], curves[title]) for title in titles}
+        xlabel, ylabel = xlabel or time, ylabel or (titles[0] if len(titles) == 1 else None)
+    else:
+        lines = {}
+        for label, curve in curves.items():
+            if isinstance(curve, History):
+                time, title = _one_column(label, curve)
+                xlabel, ylabel = xlabel or time, ylabel or title
+                curve = curve[time], curve[title]
+            lines[label] = curve
+    if xlabel is None or ylabel is None:
+        raise ValueError(f"{path}: the axes need a text, such as xlabel='t [s]', ylabel='u [m]'")
+    texts, known = (xlabel, ylabel), reference or {}
+    do_there(comm, comm.rank == 0, lambda: _draw(Path(path), lines, *texts, known))
+
+
+def _one_column(label: str, history: History) -> tuple[str, str]:
+    """Titles of the time and of the only column."""
+    time, title, *more = history.titles
+    if more:
+        raise ValueError(
+            f"{label!r} is a history of several columns: say which, as in "
+            f"{{{label!r}: (history[{time!r}], history[{title!r}])}}"
+        )
+    return time, title
 
 
 def _draw(
@@ -64,6 +92,7 @@ def _draw(
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
     ax.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=2)
+    if len(curves) + len(reference) > 1:
+        figure.legend(loc="outside upper center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=160)

@@ -21,6 +21,7 @@ from dolfinx import fem, plot
 import fenicsmpm
 from fenicsmpm import _compat
 from fenicsmpm.basis import is_linear
+from fenicsmpm.io.atomic import replace
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import do_there
 
@@ -28,17 +29,22 @@ if TYPE_CHECKING:  # it takes a second to import: only where it is needed
     import pyvista
 
 
-def gather_points(points: MaterialPoints) -> pyvista.PolyData | None:
+def gather_points(
+    points: MaterialPoints | Sequence[MaterialPoints],
+) -> pyvista.PolyData | None:
     """Collect material points with all their fields (collective).
 
     Args:
-        points: the point set.
+        points: the point set, or several, of which the fields that all have are collected.
 
     Returns:
         On rank 0 the points in the order of their ids, with the point data "id", "tag", "weight"
         and all fields; vectors have three components and tensors nine (row by row), as ParaView
         expects them. None on the other ranks.
     """
+    if not isinstance(points, MaterialPoints):
+        first, *others = [gather_points(one) for one in points]
+        return first if first is None or not others else first.append_polydata(*others)
     names = ["x", "id", "tag", "weight", *points.field_names]
     comm = points.mesh.comm
     parts = comm.gather({name: np.asarray(points[name]) for name in names})
@@ -114,7 +120,7 @@ def write(
         comm: communicator of the mesh.
 
     Raises:
-        OSError: on all ranks, if the file cannot be written.
+        OSError: on all ranks, if the file cannot be written; an older one is as it was.
         ValueError: on all ranks, if the suffix does not fit the data.
     """
     do_there(comm, data is not None, lambda: _save(Path(path), data, parameters or {}))
@@ -132,9 +138,19 @@ def _save(path: Path, data: pyvista.DataSet | None, parameters: Mapping[str, Any
     file.field_data["fenicsmpm version"] = [fenicsmpm.__version__]
     for name, value in parameters.items():
         file.field_data[name] = [value if isinstance(value, bool | int | float) else str(value)]
-    file.save(path)
-    if not path.exists():  # VTK says so on standard error only
-        raise OSError(f"{path} could not be written")
+    replace(path, _bytes_of(file, suffix))
+
+
+def _bytes_of(data: pyvista.DataSet, suffix: str) -> bytes:
+    """What VTK would write to a file. It says on standard error only if it cannot."""
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+    writer: Any = vtkXMLPolyDataWriter() if suffix == ".vtp" else vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(data)
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text = writer.GetOutputString()
+    return text if isinstance(text, bytes) else text.encode("latin-1")
 
 
 def _check_functions(functions: Sequence[fem.Function]) -> Any:

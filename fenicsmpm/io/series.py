@@ -6,7 +6,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from dolfinx import fem
@@ -15,10 +14,12 @@ from fenicsmpm.io.atomic import replacing
 from fenicsmpm.io.results import gather_functions, gather_points, write
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import do_there
+from fenicsmpm.simulation.observer import Observer
+from fenicsmpm.simulation.step import Step
 
 
-class Series:
-    """Points with all their fields, or grid functions, at several times.
+class Series(Observer):
+    """Points with all their fields, or grid functions, at several times of an observed run.
 
     "cook.pvd" lists the files "cook/cook_00000.vtp" and so on; it is complete after each
     ``write``, so that ParaView can open it while the program runs or after it was killed. Files of
@@ -28,16 +29,15 @@ class Series:
         path: the list, such as "cook.pvd"; missing directories are made.
         data: the point set, or P1 functions on one mesh.
         parameters: numbers and texts stored in each file, such as ``{"E [Pa]": 70.0}``.
-        append_after: keep what an earlier series wrote up to this time [s] and go on from there;
-            None for a new series.
+        every: time between two files [s]; None for the beginning and each step.
+        append: go on with an earlier series, after a restart: what it wrote up to the time at which
+            the run begins is kept.
 
     Attributes:
         times: written so far [s].
 
     Raises:
-        ValueError: on all ranks, for names that do not end in .pvd, and for earlier series that
-            are not of this kind.
-        OSError: on all ranks, if an earlier series cannot be read.
+        ValueError: for names that do not end in .pvd, and without data.
     """
 
     def __init__(
@@ -46,16 +46,25 @@ class Series:
         data: MaterialPoints | Sequence[fem.Function],
         parameters: Mapping[str, Any] | None = None,
         *,
-        append_after: float | None = None,
+        every: float | None = None,
+        append: bool = False,
     ) -> None:
-        """Read what is there; nothing is written before the first time (collective)."""
+        """Nothing is written before the first time."""
         self._path, self._parameters = Path(path), dict(parameters or {})
         self._data = data if isinstance(data, MaterialPoints) else list(data)
         self._suffix = "vtp" if isinstance(data, MaterialPoints) else "vtu"
         self._comm = _mesh(self._data).comm
-        self._is_clean = False
-        earlier = self._on_root(lambda: self._earlier(append_after))
-        self.times: list[float] = self._comm.bcast(earlier)
+        if self._path.suffix != ".pvd":
+            raise ValueError(f"{self._path}: the name of a series ends in .pvd")
+        self._every, self._append = every or 0.0, append
+        self._is_open, self._has_begun, self._is_clean = False, False, False
+        self.times: list[float] = []
+
+    def _open(self, time: float) -> None:
+        """Take the times of an earlier series that are kept (collective)."""
+        if self._append:
+            self.times = self._comm.bcast(self._on_root(lambda: self._earlier(time)))
+        self._is_open = True
 
     def write(self, time: float) -> None:
         """Write the data as they are now (collective).
@@ -67,10 +76,12 @@ class Series:
             OSError: on all ranks, if a file cannot be written.
             ValueError: on all ranks, for times that do not grow, and see ``gather_functions``.
         """
+        if not self._is_open:
+            self._open(time - 2e-9 * abs(time) - 1e-300)  # before this time
         if self.times and not time > self.times[-1]:
             raise ValueError(
                 f"times of a series must grow: {time} s after {self.times[-1]} s; to go on after "
-                "a restart, give the series append_after"
+                "a restart, give the series append=True"
             )
         if isinstance(self._data, MaterialPoints):
             data: Any = gather_points(self._data)
@@ -85,17 +96,26 @@ class Series:
         self._on_root(lambda: self._list([*self.times, float(time)]))
         self.times.append(float(time))
 
-    def __enter__(self) -> Series:
-        """The series itself."""
-        return self
+    def begin(self, sim: Any) -> None:
+        """Write the state that a run begins with, unless it is there (collective).
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Nothing is left to be done: each ``write`` leaves complete files."""
+        Args:
+            sim: the simulation.
+
+        Raises:
+            OSError: on all ranks, if files cannot be written, or an earlier series not be read.
+            ValueError: on all ranks, for an earlier series that is not of this kind.
+        """
+        if not self._is_open:
+            self._open(sim.time)
+        if not self._has_begun and not (self.times and is_until(sim.time, self.times[-1])):
+            self.write(sim.time)
+        self._has_begun = True
+
+    def done(self, sim: Any, step: Step) -> None:
+        """Write the state after a step, if it is time."""
+        if is_until(self.times[-1] + self._every, step.time):
+            self.write(step.time)
 
     def _on_root(self, action: Callable[[], Any]) -> Any:
         return do_there(self._comm, self._comm.rank == 0, action)
@@ -104,11 +124,9 @@ class Series:
         """Name of a file as it stands in the list."""
         return f"{self._path.stem}/{self._path.stem}_{number:05d}.{self._suffix}"
 
-    def _earlier(self, append_after: float | None) -> list[float]:
-        """Times of an earlier series that are to be kept."""
-        if self._path.suffix != ".pvd":
-            raise ValueError(f"{self._path}: the name of a series ends in .pvd")
-        if append_after is None or not self._path.exists():
+    def _earlier(self, end: float) -> list[float]:
+        """Times of an earlier series until that at which this one goes on."""
+        if not self._path.exists():
             return []
         try:
             entries = ElementTree.parse(self._path).getroot().findall("Collection/DataSet")
@@ -121,7 +139,7 @@ class Series:
                 f"{self._path} lists other files than {self._file(0)} and so on: choose another "
                 "name for the series"
             )
-        return [time for time in times if is_until(time, append_after)]
+        return [time for time in times if is_until(time, end)]
 
     def _clean(self) -> None:
         """Remove what an earlier series wrote, but for the times that are kept."""

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from fenicsmpm.lanes import choose
-from fenicsmpm.materials.law import Law, compiled, positive
+from fenicsmpm.materials.law import Law, compiled, not_negative, positive
 from fenicsmpm.materials.tensors import volume_change
 
 
@@ -53,11 +53,11 @@ class NewtonianFluid(Law):
 
     def __init__(self, kappa: float, mu: float = 0.0) -> None:
         """Check and store the parameters."""
-        positive(kappa, "kappa", "bulk modulus", "Pa")
-        if not (math.isfinite(mu) and mu >= 0):
-            raise ValueError(f"viscosity must be finite and not negative: mu = {mu} Pa s")
-        self.kappa, self.mu = kappa, mu
-        super().__init__(_update, np.array([kappa, mu]), kappa, energy=_energy, is_fluid=True)
+        self.kappa = positive(kappa, "kappa", "bulk modulus", "Pa")
+        self.mu = not_negative(mu, "mu", "viscosity", "Pa s")
+        super().__init__(
+            _update, np.array([self.kappa, self.mu]), self.kappa, energy=_energy, is_fluid=True
+        )
 
     def __repr__(self) -> str:
         """Parameters with units."""

@@ -15,7 +15,7 @@ import ufl
 
 from fenicsmpm.forms.kernels import COORDINATES, Kernel, compile_kernel, kernel_of_nine
 from fenicsmpm.forms.lowering import INTERVAL, ONE_POINT
-from fenicsmpm.materials.law import Law, compiled
+from fenicsmpm.materials.law import Law, compiled, finite
 from fenicsmpm.materials.tensors import rows, volume_change
 
 
@@ -88,8 +88,11 @@ def from_energy(
         the formula of psi has near F = I.
 
     Raises:
-        ValueError: if psi is not scalar or the modulus without deformation is not positive.
+        ValueError: if psi is not scalar, parameters are no finite numbers, or the modulus without
+            deformation is not positive.
     """
+    if finite(parameters, "parameters of an energy").ndim != 1:
+        raise ValueError(f"parameters of an energy must be a sequence of numbers: {parameters!r}")
     F = ufl.Coefficient(_vector_space(9))
     constants = ufl.Constant(INTERVAL, shape=(max(len(parameters), 1),))
     gradient = ufl.variable(ufl.as_tensor([[F[3 * i + j] for j in range(3)] for i in range(3)]))

@@ -190,8 +190,8 @@ class Hencky(Law):
 
     def __init__(self, E: float, nu: float) -> None:
         """Check and store the parameters."""
-        self.E, self.nu = E, nu
         self.mu, self.kappa = elastic_moduli(E, nu)
+        self.E, self.nu = float(E), float(nu)
         modulus = p_wave_modulus(self.mu, self.kappa)
         super().__init__(
             _update,

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 import ufl
 
-from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
+from fenicsmpm.materials.law import (
+    Law,
+    compiled,
+    elastic_moduli,
+    p_wave_modulus,
+    poissons_ratio,
+    positive,
+)
 from fenicsmpm.materials.tensors import inverse_cube_root, metric_change, volume_change
 
 # g(J) = U'(J) / kappa [-], the volumetric laws that the papers use
@@ -93,19 +100,12 @@ class NeoHookean:
 
     def __init__(self, E: float, nu: float, volumetric: str = "quadratic") -> None:
         """Check and store the parameters."""
-        if not (math.isfinite(E) and E > 0):
-            raise ValueError(f"Young's modulus must be positive and finite: E = {E}")
-        if not -1 < nu <= 0.5:
-            raise ValueError(
-                f"Poisson's ratio must lie in (-1, 0.5]: nu = {nu}. "
-                "Use nu = 0.5 for an incompressible material."
-            )
+        self.E = E = positive(E, "E", "Young's modulus", "Pa")
+        self.nu = nu = poissons_ratio(nu, incompressible=True)
         if volumetric not in VOLUMETRIC_LAWS:
             raise ValueError(
                 f"unknown volumetric law {volumetric!r}: use one of {', '.join(VOLUMETRIC_LAWS)}"
             )
-        self.E = E
-        self.nu = nu
         self.mu = E / (2 * (1 + nu))
         self.inverse_kappa = 3 * (1 - 2 * nu) / E
         self.kappa = math.inf if self.inverse_kappa == 0 else 1 / self.inverse_kappa

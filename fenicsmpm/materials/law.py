@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -75,16 +74,14 @@ class Law:
                     f"{name} of a law must be compiled by numba: {function!r}. "
                     "Decorate it with @fenicsmpm.materials.compiled."
                 )
-        self.parameters = np.array(self.parameters, dtype=np.float64).ravel()
-        if not np.isfinite(self.parameters).all():
-            raise ValueError(f"parameters of a law must be finite: {self.parameters!r}")
+        self.parameters = finite(self.parameters, "parameters of a law").ravel()
         positive(self.wave_speed_modulus, "wave_speed_modulus", "modulus of the fastest wave", "Pa")
         self.columns: dict[str, slice] = {}
         initial = [np.empty(0)]
         for name, (shape, value) in self.state.items():
-            row = np.broadcast_to(np.asarray(value, dtype=np.float64), shape).ravel()
-            if not np.isfinite(row).all():
-                raise ValueError(f"initial value of state field {name!r} must be finite: {row}")
+            row = np.broadcast_to(
+                finite(value, f"initial value of state field {name!r}"), shape
+            ).ravel()
             start = sum(len(r) for r in initial)
             self.columns[name] = slice(start, start + len(row))
             initial.append(row)
@@ -121,15 +118,92 @@ class Law:
         )
 
 
-def positive(value: float, symbol: str, meaning: str, unit: str) -> float:
-    """The value, if it is positive and finite.
+def finite(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
+    """A copy of finite real numbers, of any shape.
+
+    Args:
+        values: to be checked.
+        what: they are, plural.
 
     Raises:
-        ValueError: that says which parameter it is.
+        ValueError: for anything else, such as text.
     """
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{meaning} must be positive and finite: {symbol} = {value} {unit}")
-    return value
+    array = _real(values)
+    if array is None:
+        raise ValueError(f"{what} must be numbers, not {values!r}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what} must be finite: {values!r}")
+    return array
+
+
+def number(value: float, symbol: str, meaning: str, unit: str) -> float:
+    """The value, if it is one real number.
+
+    Args:
+        value: to be checked.
+        symbol: name of the parameter.
+        meaning: what it is.
+        unit: of the value.
+
+    Raises:
+        ValueError: that says which parameter it is, and its value.
+    """
+    array = _real(value)
+    if array is None or array.shape != ():
+        raise ValueError(f"{meaning} must be one number [{unit}]: {symbol} = {value!r}")
+    return float(array)
+
+
+def _real(values: npt.ArrayLike) -> npt.NDArray[np.float64] | None:
+    """A copy of the values as float64, None unless all are real numbers."""
+    try:
+        array = np.array(values)
+    except ValueError:  # rows of different lengths
+        return None
+    return array.astype(np.float64) if array.dtype.kind in "biuf" else None
+
+
+def positive(value: float, symbol: str, meaning: str, unit: str) -> float:
+    """As ``number``, which must be positive and finite."""
+    result = number(value, symbol, meaning, unit)
+    if not 0 < result < np.inf:
+        raise ValueError(f"{meaning} must be positive and finite: {symbol} = {result} {unit}")
+    return result
+
+
+def not_negative(value: float, symbol: str, meaning: str, unit: str) -> float:
+    """As ``number``, which must be finite and not negative."""
+    result = number(value, symbol, meaning, unit)
+    if not 0 <= result < np.inf:
+        raise ValueError(f"{meaning} must be finite and not negative: {symbol} = {result} {unit}")
+    return result
+
+
+def poissons_ratio(nu: float, *, incompressible: bool) -> float:
+    """Poisson's ratio [-], if it is one: more than -1, and less than 0.5 or not more.
+
+    Args:
+        nu: Poisson's ratio.
+        incompressible: whether 0.5 is one.
+
+    Raises:
+        ValueError: for what is none.
+    """
+    result = number(nu, "nu", "Poisson's ratio", "-")
+    if -1 < result < 0.5 or (incompressible and result == 0.5):
+        return result
+    hint = ""
+    if result <= -1:
+        hint = ". At -1 the shear modulus is infinite"
+    elif result > 0.5:
+        hint = ". Use nu = 0.5 for an incompressible material"
+    if result >= 0.5 and not incompressible:
+        hint += (
+            ". A stress that follows from the deformation alone needs a finite bulk modulus: use "
+            "0.499, say, for a nearly incompressible material"
+        )
+    interval = "(-1, 0.5]" if incompressible else "(-1, 0.5)"
+    raise ValueError(f"Poisson's ratio must lie in {interval}: nu = {result}{hint}")
 
 
 def elastic_moduli(E: float, nu: float) -> tuple[float, float]:
@@ -142,13 +216,8 @@ def elastic_moduli(E: float, nu: float) -> tuple[float, float]:
     Raises:
         ValueError: for parameters out of range.
     """
-    positive(E, "E", "Young's modulus", "Pa")
-    if not -1 < nu < 0.5:
-        raise ValueError(
-            f"Poisson's ratio must lie in (-1, 0.5): nu = {nu}. A stress that follows from the "
-            "deformation alone needs a finite bulk modulus: use 0.499, say, for a nearly "
-            "incompressible material."
-        )
+    E = positive(E, "E", "Young's modulus", "Pa")
+    nu = poissons_ratio(nu, incompressible=False)
     return E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu))
 
 

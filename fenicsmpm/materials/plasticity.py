@@ -18,7 +18,14 @@ from fenicsmpm.materials.hencky import (
     small_deviatoric_strain,
     stored_energy,
 )
-from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus, positive
+from fenicsmpm.materials.law import (
+    Law,
+    compiled,
+    elastic_moduli,
+    number,
+    p_wave_modulus,
+    positive,
+)
 from fenicsmpm.materials.tensors import (
     SMALL,
     congruence,
@@ -270,21 +277,22 @@ class VonMises(Law):
         eta: float = 0.0,
     ) -> None:
         """Check and store the parameters."""
-        self.E, self.nu = E, nu
         self.mu, self.kappa = elastic_moduli(E, nu)
-        positive(sigma_y, "sigma_y", "yield stress", "Pa")
-        if not (math.isfinite(H) and H >= 0):
+        self.E, self.nu = float(E), float(nu)
+        sigma_y = positive(sigma_y, "sigma_y", "yield stress", "Pa")
+        H = number(H, "H", "hardening modulus", "Pa")
+        if not 0 <= H < math.inf:
             raise ValueError(
                 f"hardening modulus must be finite and not negative: H = {H} Pa. "
                 "Softening is described by sigma_r and eta."
             )
         if sigma_r is None:
-            if eta != 0:
+            if number(eta, "eta", "rate of softening", "-") != 0:
                 raise ValueError(f"eta = {eta} without a residual yield stress: give sigma_r, too")
             sigma_r = sigma_y
         else:
-            positive(sigma_r, "sigma_r", "residual yield stress", "Pa")
-            positive(eta, "eta", "rate of softening", "(no unit)")
+            sigma_r = positive(sigma_r, "sigma_r", "residual yield stress", "Pa")
+            eta = positive(eta, "eta", "rate of softening", "-")
         steepest = eta * (sigma_y - sigma_r) - H
         if steepest >= 3 * self.mu:
             raise ValueError(

@@ -4,6 +4,7 @@
 from fenicsmpm.points.material_points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.points.seeding import (
+    at,
     fill,
     from_mesh,
     lattice,
@@ -16,6 +17,7 @@ from fenicsmpm.points.seeding import (
 __all__ = [
     "MaterialPoints",
     "PointsOutsideError",
+    "at",
     "fill",
     "from_mesh",
     "lattice",

@@ -6,6 +6,7 @@ So a check that may fail on some ranks is done first, and its outcome is agreed 
 else is sent.
 """
 
+import pickle
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -18,7 +19,7 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank when any rank has an error. Collective.
 
     A rank that has an error of its own raises that one, the others raise the one of the lowest
-    rank that has one.
+    rank that has one (a RuntimeError with its message, if it cannot be sent).
 
     Args:
         comm: The communicator of the ranks that have to agree.
@@ -28,8 +29,17 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
         Exception: The error, on all ranks.
     """
     if comm.allreduce(error is not None, MPI.LOR):
-        errors = comm.allgather(error)
+        errors = comm.allgather(_sendable(error))
         raise error or next(e for e in errors if e is not None)
+
+
+def _sendable(error: Exception | None) -> Exception | None:
+    """The error, or one that says the same if it cannot be made anew on another rank."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # of a user's class, which may do anything
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def do_there(comm: MPI.Comm, here: bool, action: Callable[[], T]) -> T | None:

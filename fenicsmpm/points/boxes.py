@@ -268,6 +268,35 @@ def locate_in_boxes(boxes: Boxes, key, tolerance, count, x, cell, xi):  # type: 
 
 
 @njit
+def all_owned(boxes: Boxes, count, lower, upper):  # type: ignore[no-untyped-def]
+    """Whether all cells with the numbers ``lower ... upper``, ``(n, 3)`` each, are of this rank.
+
+    Args:
+        boxes: the lattice.
+        count: of cells that this rank owns.
+        lower: lowest number in each direction; 0 in directions that the lattice does not have.
+        upper: highest number.
+    """
+    result = np.ones(len(lower), dtype=np.bool_)
+    d = len(boxes.box)
+    for n in range(len(lower)):
+        for k in range(d):
+            result[n] &= lower[n, k] >= boxes.first[k]
+            result[n] &= upper[n, k] < boxes.first[k] + boxes.box[k]
+        if not result[n]:
+            continue
+        for i in range(lower[n, 0], upper[n, 0] + 1):
+            for j in range(lower[n, 1], upper[n, 1] + 1):
+                for k in range(lower[n, 2], upper[n, 2] + 1):
+                    place = (i - boxes.first[0]) * boxes.box[1] + j - boxes.first[1]
+                    if d == 3:
+                        place = place * boxes.box[2] + k - boxes.first[2]
+                    cell = boxes.cell[place]
+                    result[n] &= 0 <= cell < count
+    return result
+
+
+@njit
 def _touching(boxes: Boxes, key, tolerance, count, place, s):  # type: ignore[no-untyped-def]
     """The cell of lowest key that touches a point; s (d,) becomes the position in it.
 

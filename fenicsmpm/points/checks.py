@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checks of what users pass. They return an error, as all ranks have to raise it together."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 
 from mpi4py import MPI
 
@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.points.location import Locator
+from fenicsmpm.points.of_position import OfPosition, mask_at
 
 Checked = tuple[ValueError | None, dict[str, npt.NDArray]]
 
@@ -41,6 +42,7 @@ def check_input(
     cells: npt.ArrayLike | None,
     xi: npt.ArrayLike | None,
     tag: npt.ArrayLike,
+    number: npt.ArrayLike | None,
     fields: Mapping[str, npt.ArrayLike] | None,
     reserved: Iterable[str],
 ) -> Checked:
@@ -54,6 +56,8 @@ def check_input(
         data["weight"] = _column("weight", weight, n, np.float64)
         data["tag"] = _column("tag", tag, n, np.int32)
         check_weight(data["weight"])
+        if number is not None:
+            data["id"] = _column("number", number, n, np.int64)
         if cells is not None:
             data["cell"] = _column("cells", cells, n, np.int32)
             _check_cells(data["cell"], locator.geometry.num_cells, -1 if xi is None else 0)
@@ -104,16 +108,17 @@ def _listed(fields: set[tuple[str, tuple[int, ...]]]) -> str:
 
 
 def check_selection(
-    which: npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
-    x: npt.NDArray[np.float64],
-) -> tuple[ValueError | None, npt.NDArray[np.bool_]]:
-    """Mask of the points given by a mask, indices, or a function from positions to a mask."""
+    which: npt.ArrayLike | OfPosition, x: npt.NDArray[np.float64]
+) -> tuple[Exception | None, npt.NDArray[np.bool_]]:
+    """Mask of the points at x (n, d) given by a mask, indices, or a marker."""
+    if callable(which):
+        return mask_at(which, x)
     n = len(x)
     mask = np.zeros(n, dtype=bool)
-    given = np.asarray(which(x) if callable(which) else which)
+    given = np.asarray(which)
     if given.dtype == bool and given.shape == (n,):
         return None, given
-    if callable(which) or given.dtype == bool:
+    if given.dtype == bool:
         return ValueError(
             f"a mask of points needs shape ({n},) and bool values, not {given.shape} and "
             f"{given.dtype}"

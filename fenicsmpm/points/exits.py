@@ -13,47 +13,80 @@ from fenicsmpm.points.migration import PointsOutsideError
 
 logger = logging.getLogger(__name__)
 
-ON_EXIT = ("error", "delete", "clamp")
 
-
-def check_on_exit(on_exit: str) -> None:
-    """Raise a ValueError unless this says what happens to points that leave the mesh."""
-    if on_exit not in ON_EXIT:
-        raise ValueError(f"on_exit must be one of {', '.join(ON_EXIT)}, not {on_exit!r}")
-
-
-def move(points: MaterialPoints, x: npt.NDArray[np.float64], on_exit: str = "error") -> int:
-    """Move points, some of which may leave the mesh. Collective.
-
-    Where a point is held back, so is its field "u" of displacements, if there is one.
+class Exits:
+    """Moves points, some of which may leave the mesh.
 
     Args:
-        points: Point set.
-        x: New positions in m, shape (n, d).
-        on_exit: For points that leave the mesh: "error" raises, "delete" removes them, "clamp"
+        on_exit: for points that leave the mesh: "error" raises, "delete" removes them, "clamp"
             leaves them on their way where they are still inside.
 
-    Returns:
-        How many points left the mesh, on all ranks.
+    Attributes:
+        on_exit: as above.
+        held: ids of the points of each set that were held back so far, on all ranks.
 
     Raises:
-        PointsOutsideError: On all ranks, for "error".
-        ValueError: For another value of `on_exit`.
+        ValueError: for another value of ``on_exit``.
     """
-    check_on_exit(on_exit)
-    try:
-        points.move(x)
-        return 0
-    except PointsOutsideError as error:
-        if on_exit == "error":
-            raise
-        count, outside = error.count, error.indices
-    if on_exit == "delete":
+
+    def __init__(self, on_exit: str = "error") -> None:
+        """Nothing has left yet."""
+        if on_exit not in ("error", "delete", "clamp"):
+            raise ValueError(f"on_exit must be one of error, delete, clamp, not {on_exit!r}")
+        self.on_exit = on_exit
+        self.held: dict[MaterialPoints, npt.NDArray[np.int64]] = {}
+        self._is_said = False
+
+    def move(self, points: MaterialPoints, x: npt.NDArray[np.float64]) -> int:
+        """Move points. Collective.
+
+        Where a point is held back, so is its field "u" of displacements, if there is one.
+
+        Args:
+            points: Point set.
+            x: New positions in m, shape (n, d).
+
+        Returns:
+            How many points left the mesh, on all ranks, but for those that were held back before.
+
+        Raises:
+            PointsOutsideError: On all ranks, for "error".
+        """
+        try:
+            points.move(x)
+            return 0
+        except PointsOutsideError as error:
+            if self.on_exit == "error":
+                raise
+            count, outside = error.count, error.indices
+        if self.on_exit == "clamp":
+            ids = points.id[outside]
+            _hold_back(points, x, outside)
+            return self._count(points, ids)
         points.remove(outside)
         points.move(np.delete(x, outside, axis=0))
         logger.warning("%d points left the background mesh and were deleted", count)
         return count
-    # halve what is left of the way until all are inside
+
+    def _count(self, points: MaterialPoints, ids: npt.NDArray[np.int64]) -> int:
+        """How many of the points with these ids on each rank are held back for the first time."""
+        before = self.held.get(points, np.empty(0, dtype=np.int64))
+        new = np.concatenate(points.mesh.comm.allgather(np.setdiff1d(ids, before)))
+        self.held[points] = np.concatenate([before, new])
+        if not self._is_said:
+            logger.warning(
+                "%d points left the background mesh and were held back; what follows them is not "
+                "said again, Step.removed counts it",
+                len(new),
+            )
+            self._is_said = True
+        return len(new)
+
+
+def _hold_back(
+    points: MaterialPoints, x: npt.NDArray[np.float64], outside: npt.NDArray[np.integer]
+) -> None:
+    """Move points to x, those outside only half of what is left until all are inside."""
     way = x - points.x
     share = np.ones(len(points))
     u = points["u"] if "u" in points else None
@@ -64,8 +97,6 @@ def move(points: MaterialPoints, x: npt.NDArray[np.float64], on_exit: str = "err
             points.assign({"u": u - held_back})
         try:
             points.move(x - held_back)
-            break
+            return
         except PointsOutsideError as error:
             outside = error.indices
-    logger.warning("%d points left the background mesh and were held back", count)
-    return count

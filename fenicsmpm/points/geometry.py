@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The map from the reference cell to the cells of a mesh with straight edges, for all cells."""
 
+import itertools
 import weakref
 from collections.abc import Iterator
 from functools import cached_property
@@ -15,6 +16,7 @@ from dolfinx.mesh import CellType, Mesh
 from fenicsmpm import _compat
 from fenicsmpm._njit import njit
 from fenicsmpm.points.boxes import Boxes, find_boxes
+from fenicsmpm.points.folded import folded, grid
 
 # Points outside a cell by less than this part of its size are in it.
 _TOLERANCE = 1e-12
@@ -90,8 +92,9 @@ class CellGeometry:
         """Take what is needed from a mesh; no reference to the mesh is kept. Collective.
 
         Raises:
-            ValueError: For meshes other than straight triangles, tetrahedra, quadrilaterals and
-                hexahedra that fill their space.
+            ValueError: On all ranks, for meshes other than straight triangles, tetrahedra,
+                quadrilaterals and hexahedra that fill their space, and for cells without volume or
+                with a Jacobian that changes its sign.
         """
         cell_type, geometry = mesh.topology.cell_type, mesh.geometry
         nodes = _compat.geometry_dofmap(mesh)
@@ -102,7 +105,7 @@ class CellGeometry:
                 f"a mesh of unsupported cells: {cell_type.name} with {nodes.shape[1]} nodes in "
                 f"{geometry.dim} dimensions, {geometry.x.dtype}; material points need straight "
                 "triangles or quadrilaterals in 2, tetrahedra or hexahedra in 3 dimensions, in "
-                "float64"
+                f"float64{_hint(self.dim, geometry.dim)}"
             )
         self._checksum = _checksum(geometry.x)
         cells = mesh.topology.index_map(self.dim)
@@ -121,6 +124,38 @@ class CellGeometry:
             self.stored = np.empty((len(nodes), self._vertices, self.dim))
             for block in self.blocks():
                 self.stored[block] = _expand(geometry.x[nodes[block], : self.dim])
+            self._check_cells(mesh.comm)
+
+    def _check_cells(self, comm: MPI.Intracomm) -> None:
+        """Raise unless the maps of all cells are one to one. Collective."""
+        at = np.full((1, self.dim), 1.0 / (self.dim + 1)) if self.is_simplex else grid(self.dim)
+        gradients = monomial_gradients(at, self._vertices)
+        flat, bent = np.zeros((2, self.num_owned), dtype=bool)
+        for block in self.blocks(self.num_owned):
+            # by cell, component of x, point, direction of xi
+            jacobian = np.tensordot(self.coefficients(block), gradients, (1, 1))
+            det = _determinant(np.asarray(jacobian.transpose(1, 3, 0, 2), dtype=np.float64))
+            flat[block] = (det == 0.0).all(axis=1)
+            if not self.is_simplex:
+                bent[block] = folded(det)
+        for wrong, what, remedy in (
+            (flat, "cells of zero volume", "remove them from the mesh"),
+            (
+                bent,
+                "cells whose Jacobian changes its sign",
+                "move their vertices, or split them, so that none is folded",
+            ),
+        ):
+            cells = np.flatnonzero(wrong).astype(np.int32)
+            first = cells[np.argsort(self.key[cells])[:1]]
+            known = [(int(self.key[c]), self.corners(first)[0].tolist()) for c in first]
+            count = comm.allreduce(len(cells))
+            if count:
+                number, corners = min(itertools.chain(*comm.allgather(known)))
+                raise ValueError(
+                    f"a mesh with {count} {what}, first number {number} with vertices {corners}: "
+                    f"{remedy}"
+                )
 
     @property
     def is_simplex(self) -> bool:
@@ -250,6 +285,27 @@ class CellGeometry:
         points, weights = basix.make_quadrature(self.cell, 2)
         det = self.determinant(np.repeat(cells, len(weights)), np.tile(points, (len(cells), 1)))
         return det.reshape(len(cells), len(weights)) @ weights
+
+
+def _hint(dim: int, gdim: int) -> str:
+    """What to do about flat cells in a space of more dimensions."""
+    if dim != 2 or gdim != 3:
+        return ""
+    return (
+        ". A plane mesh is to have two coordinates a node: give gdim=2 to the function of dolfinx "
+        "that reads it, `read_from_msh` or `model_to_mesh` for Gmsh"
+    )
+
+
+def _determinant(A: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Determinants of matrices A (d, d, ...), shape (...)."""
+    if len(A) == 2:
+        return A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    return (
+        A[0, 0] * (A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1])
+        + A[0, 1] * (A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2])
+        + A[0, 2] * (A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0])
+    )
 
 
 def _tolerance(scale: npt.ArrayLike) -> npt.NDArray[np.float64]:

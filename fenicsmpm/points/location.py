@@ -20,7 +20,6 @@ from dolfinx import la
 from dolfinx.mesh import Mesh
 
 from fenicsmpm._njit import njit
-from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.bins import Bins, make_bins
 from fenicsmpm.points.boxes import locate_in_boxes, pull_back_to_boxes
 from fenicsmpm.points.geometry import CellGeometry, cell_geometry
@@ -54,10 +53,9 @@ class Locator:
         """Build the tables; no reference to the mesh is kept. Collective.
 
         Raises:
-            ValueError: For a mesh of unsupported cells.
+            ValueError: On all ranks, see `CellGeometry`.
         """
         self.geometry = geometry = cell_geometry(mesh)
-        raise_together(mesh.comm, None if geometry.stored is None else _flat_cells(geometry))
         self.is_lattice = geometry.boxes is not None
         self._surrounded = _surrounded(mesh)
         self._search: tuple[_Cells, Bins] | None = None
@@ -151,25 +149,6 @@ def locator(mesh: Mesh) -> Locator:
     if mesh not in _cache or _cache[mesh].geometry is not cell_geometry(mesh):
         _cache[mesh] = Locator(mesh)
     return _cache[mesh]
-
-
-def _flat_cells(geometry: CellGeometry) -> ValueError | None:
-    """What is wrong, if there are cells without volume."""
-    flat = np.concatenate(
-        [
-            np.empty(0, dtype=np.int32),
-            *(
-                block[np.linalg.det(geometry.centre_jacobian(block)) == 0.0]
-                for block in geometry.blocks()
-            ),
-        ]
-    )
-    if not len(flat):
-        return None
-    return ValueError(
-        f"a mesh with {len(flat)} cells of zero volume, first with vertices "
-        f"{geometry.corners(flat[:1])[0].tolist()}: remove them from the mesh"
-    )
 
 
 def _tables(

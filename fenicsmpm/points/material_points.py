@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Material points: named arrays with one row a point, distributed like the cells of a mesh."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
 from mpi4py import MPI
@@ -22,12 +22,14 @@ from fenicsmpm.points.checks import (
 from fenicsmpm.points.description import describe
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import find_cells, send_home
+from fenicsmpm.points.numbering import ids_in_order
+from fenicsmpm.points.of_position import OfPosition
 from fenicsmpm.points.pending_fields import FieldTable, Provider
 from fenicsmpm.points.point_arrays import BUILT_IN, PointArrays
 from fenicsmpm.points.point_field import PointField
 from fenicsmpm.points.sorting import order_by_number, sort_by_number
 
-Selection: TypeAlias = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+Selection: TypeAlias = npt.ArrayLike | OfPosition
 
 
 class MaterialPoints(PointArrays):
@@ -54,12 +56,13 @@ class MaterialPoints(PointArrays):
         cells: npt.ArrayLike | None = None,
         xi: npt.ArrayLike | None = None,
         tag: npt.ArrayLike = 0,
+        number: npt.ArrayLike | None = None,
         fields: Mapping[str, npt.ArrayLike] | None = None,
     ):
         """Create points at given positions. Collective.
 
         Each rank passes any points it likes (also none): they are sent to the ranks that own their
-        cells. Point ids are numbered as passed, rank after rank.
+        cells. Their ids are 0, 1, .. over all ranks.
 
         Args:
             mesh: Background mesh of straight triangles, quadrilaterals, tetrahedra or hexahedra.
@@ -71,18 +74,24 @@ class MaterialPoints(PointArrays):
             xi: Reference coordinates in `cells`, shape (n, d), if they are known: then `cells` are
                 the cells of the points, and nothing is located.
             tag: Integers to tell groups of points apart, shape (n,) or one number.
+            number: Distinct integers from 0 in whose order the points get their ids, whatever ranks
+                they are passed on, shape (n,); None for the order in which they are passed, rank
+                after rank.
             fields: Initial fields, arrays of shape (n, *value_shape); same names and value shapes
                 on all ranks.
 
         Raises:
             ValueError: On all ranks, for meshes of unsupported cells, wrong shapes, weights that
-                are not positive and finite, and positions that are not finite.
+                are not positive and finite, positions that are not finite, and numbers that are
+                negative or not distinct.
             PointsOutsideError: On all ranks, if some point is in no cell of the mesh.
         """
         self.mesh = mesh
         self._locator = locator(mesh)
         self.geometry = self._locator.geometry
-        error, data = check_input(self._locator, x, weight, cells, xi, tag, fields, BUILT_IN)
+        error, data = check_input(
+            self._locator, x, weight, cells, xi, tag, number, fields, BUILT_IN
+        )
         raise_together(self._comm, error)
         raise_together(self._comm, check_fields(self._comm, data))
 
@@ -93,7 +102,10 @@ class MaterialPoints(PointArrays):
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)
         self.next_id = self.size_global
-        data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
+        if "id" in data:
+            data["id"] = ids_in_order(self._comm, data["id"])
+        else:
+            data["id"] = (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
         if "xi" in data:
             global_cell = self.geometry.global_index(data["cell"])
         else:
@@ -131,12 +143,10 @@ class MaterialPoints(PointArrays):
         """The measure of integrals over the points; `dx(i)` is over those with tag i."""
         return ufl.Measure("dx", domain=self.mesh.ufl_domain(), subdomain_data=self)
 
-    @property
     def volume(self) -> float:
         """Sum of the weights over all ranks, in m^d or m^(d-1). Collective."""
         return self._comm.allreduce(float(self._data["weight"].sum()))
 
-    @property
     def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Lowest and highest coordinates in m over all ranks, each of shape (d,). Collective.
 
@@ -176,8 +186,9 @@ class MaterialPoints(PointArrays):
         """
         self._data.settle()
         order = order_by_number(self._data["cell"] if by is None else by)
-        for name, array in self._data.items():  # one after the other, which saves memory
-            self._data[name] = array[order]
+        # one after the other, and those first that need the largest room in what is free
+        for name in sorted(self._data, key=lambda name: -self._data[name].nbytes):
+            self._data[name] = self._data[name][order]
         self._replace(self._data)
 
     # --- loops that keep points in arrays of their own ------------------------------------------
@@ -255,7 +266,7 @@ class MaterialPoints(PointArrays):
         self._send_home(global_cell)
 
     def add(self, other: "MaterialPoints") -> None:
-        """Add copies of other points. They get new ids. Collective.
+        """Add copies of other points. They get new ids, in the order of the old ones. Collective.
 
         Args:
             other: Points on the same mesh with the same fields.
@@ -268,9 +279,7 @@ class MaterialPoints(PointArrays):
                 "points on another mesh cannot be added: put them on this one with from_mesh first"
             )
         check_same_fields(self._data, other._data)
-        n = len(other)
-        ids = self.next_id + (self._comm.exscan(n) or 0) + np.arange(n, dtype=np.int64)
-        new = {**other._data, "id": ids}
+        new = {**other._data, "id": self.next_id + ids_in_order(self._comm, other.id)}
         self.next_id += other.size_global
         self.size_global += other.size_global
         self._replace({name: np.concatenate([a, new[name]]) for name, a in self._data.items()})
@@ -279,13 +288,15 @@ class MaterialPoints(PointArrays):
         """Remove points. Collective.
 
         Args:
-            which: Mask (n,), indices, or a function from positions (n, d) to a mask, on this rank.
+            which: Mask (n,) or indices on this rank; or a marker as in dolfinx, from positions
+                (3, n) in m to a mask (n,).
 
         Returns:
             How many were removed on all ranks.
 
         Raises:
-            ValueError: On all ranks, if `which` is neither mask nor indices of these points.
+            ValueError: On all ranks, if `which` is neither mask nor indices of these points, or a
+                marker of another shape; also what a marker raises.
         """
         keep = ~self._mask(which)
         self._data.settle()

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import basix.ufl
 import numpy as np
@@ -26,6 +26,10 @@ class PointField(ufl.Coefficient):
         points: the point set.
         name: name of one of its fields.
         shape: of a value; that of the field if not given.
+
+    Attributes:
+        renewals: new values of fields of the points, by name, at the end of each step of a time
+            loop whose residual has this field; see ``renew``.
     """
 
     def __init__(
@@ -42,8 +46,21 @@ class PointField(ufl.Coefficient):
         super().__init__(ufl.FunctionSpace(mesh, element))
         self.points = points
         self.name = name
-        # fields of the points that must get new values at the end of each step, if this is used
-        self.history: tuple[str, ...] = ()
+        self.renewals: Mapping[str, Any] = {}
+
+    def renew(self, value: Any) -> PointField:
+        """Say what the field is to be at the end of each step of a time loop that uses it.
+
+        Args:
+            value: UFL over the points, in which the field itself has the value of the beginning of
+                the step; a function that returns a new array ``(n_points, *shape)``; or a function
+                from the ``Kinematics`` of the step to UFL.
+
+        Returns:
+            The field itself.
+        """
+        self.renewals = {self.name: value}
+        return self
 
     @property
     def values(self) -> npt.NDArray[np.float64]:

@@ -13,11 +13,10 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from fenicsmpm.points.agreement import raise_together
-from fenicsmpm.points.checks import check_selection
 from fenicsmpm.points.geometry import CellGeometry
 from fenicsmpm.points.material_points import MaterialPoints
+from fenicsmpm.points.of_position import OfPosition, mask_at, name_of
 
-Predicate: TypeAlias = Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 Array: TypeAlias = npt.NDArray[np.float64]
 Cells: TypeAlias = npt.NDArray[np.int32]
 
@@ -49,11 +48,24 @@ def lattice_indices(
     if not np.all(np.isfinite(upper)):
         return
     first = np.maximum(np.floor((lower - origin) / spacing - 0.5).astype(np.int64), 0)
-    last = np.ceil((upper - origin) / spacing - 0.5).astype(np.int64)
-    counts = np.maximum(last - first + 1, 0)
+    counts = np.maximum(_last(upper, origin, spacing) - first + 1, 0)
     for start in range(0, int(np.prod(counts)), _MANY):
         numbers = np.arange(start, min(start + _MANY, int(np.prod(counts))))
         yield first + np.stack(np.unravel_index(numbers, tuple(counts)), axis=-1)
+
+
+def lattice_numbers(
+    index: npt.NDArray[np.int64], upper: Array, origin: Array, spacing: Array
+) -> npt.NDArray[np.int64]:
+    """Numbers (n,) in the whole lattice, up to `upper`, of points with indices (n, d)."""
+    counts = tuple(_last(upper, origin, spacing) + 1)
+    return np.asarray(np.ravel_multi_index(tuple(index.T), counts), dtype=np.int64)
+
+
+def _last(upper: Array, origin: Array, spacing: Array) -> npt.NDArray[np.int64]:
+    """Highest indices (d,) of lattice points in a box up to `upper`, or a few beside."""
+    last: npt.NDArray[np.int64] = np.ceil((upper - origin) / spacing - 0.5).astype(np.int64)
+    return last
 
 
 def split(filled: Cells, per_cell: int) -> Iterator[Cells]:
@@ -68,18 +80,20 @@ def make_points(
     geometry: CellGeometry,
     blocks: Iterable[tuple[Cells, Array]],
     weigh: Callable[[Cells, Array], Array],
-    inside: Predicate | None,
+    inside: OfPosition | None,
     tag: int,
     what: str,
 ) -> MaterialPoints:
     """Points at known reference coordinates, as far as they are inside, cell by cell.
 
+    They are numbered cell by cell of the mesh as it was input.
+
     Args:
         mesh: Background mesh.
         geometry: Shapes of its cells.
-        blocks: Some cells (n,), and the coordinates of their points, cell by cell, shape (m, d).
-            There may be many more of these than of points inside: no more than a block of them is
-            kept at a time.
+        blocks: Some cells (n,), and the coordinates of their points, cell by cell and the same
+            number in each, shape (m, d). There may be many more of these than of points inside: no
+            more than a block of them is kept at a time.
         weigh: From a block to the weights, shape (m,).
         inside: Only points where this is true.
         tag: Tag of the points.
@@ -87,31 +101,41 @@ def make_points(
     """
     none = np.zeros((0, geometry.dim))
     kept: list[tuple[npt.NDArray, ...]] = [
-        (np.zeros(0, dtype=np.int32), none, np.zeros(0), none),
+        (np.zeros(0, dtype=np.int32), none, np.zeros(0), none, np.zeros(0, dtype=np.int64)),
     ]
     error = None
     for some, xi in blocks:
         if not len(some):
             continue
-        cell = np.repeat(some, len(xi) // len(some))
+        per_cell = len(xi) // len(some)
+        cell = np.repeat(some, per_cell)
         x = geometry.push_forward(cell, xi)
         mask: npt.NDArray[np.bool_] = np.full(len(x), True)
         if inside is not None:
-            error, mask = check_selection(inside, x)
+            error, mask = mask_at(inside, x)
         if error is not None:
             break
         if mask.any():
-            kept.append((cell[mask], xi[mask], weigh(some, xi)[mask], x[mask]))
+            number = geometry.key[cell] * per_cell + np.tile(np.arange(per_cell), len(some))
+            kept.append((cell[mask], xi[mask], weigh(some, xi)[mask], x[mask], number[mask]))
     raise_together(mesh.comm, error)
-    cell, xi, weight, x = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
+    cell, xi, weight, x, number = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
     del kept
     check_any(mesh, len(x), what, inside)
     order = np.argsort(cell, kind="stable")
-    return MaterialPoints(mesh, x[order], weight[order], cells=cell[order], xi=xi[order], tag=tag)
+    return MaterialPoints(
+        mesh,
+        x[order],
+        weight[order],
+        cells=cell[order],
+        xi=xi[order],
+        tag=tag,
+        number=number[order],
+    )
 
 
-def check_any(mesh: Mesh, count: int, what: str, inside: Predicate | None) -> None:
+def check_any(mesh: Mesh, count: int, what: str, inside: OfPosition | None) -> None:
     """Raise on all ranks if there are no points at all. Collective."""
     if mesh.comm.allreduce(count) == 0:
-        region = getattr(inside, "__name__", repr(inside)) if inside else "the given cells"
+        region = name_of(inside) if inside else "the given cells"
         raise ValueError(f"{what} gives no points in {region}")

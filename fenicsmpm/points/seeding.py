@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Where material points come from: cells, regions, other meshes, boundaries.
 
-Functions that take a predicate `inside` call it with positions of shape (n, d) in m and expect a
-mask of shape (n,). All functions are collective, and raise on all ranks.
+Functions that take a predicate `inside` call it as dolfinx calls its markers: with positions in m
+of the shape (3, n), so that x[0] are the first coordinates, and expect a mask of the shape (n,).
+All functions are collective, and raise on all ranks, also what a predicate raises on one of them.
+
+Ids do not depend on the number of ranks. Exceptions are points on facets between cells, and in
+cells whose numbers depend on it, as dolfinx made their mesh from another one.
 """
 
 import itertools
@@ -17,16 +21,16 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh, locate_entities_boundary
 
 from fenicsmpm.points.agreement import raise_together
-from fenicsmpm.points.checks import check_selection
 from fenicsmpm.points.geometry import CellGeometry, cell_geometry
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.material_points import MaterialPoints
+from fenicsmpm.points.of_position import CaughtMarker, OfPosition, mask_at
 from fenicsmpm.points.seed_blocks import (
     Array,
     Cells,
-    Predicate,
     check_any,
     lattice_indices,
+    lattice_numbers,
     make_points,
     owned_of,
     split,
@@ -42,7 +46,7 @@ def quadrature(
     mesh: Mesh,
     degree: int,
     cells: npt.ArrayLike | None = None,
-    inside: Predicate | None = None,
+    inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
     """Points of the quadrature rule that dolfinx uses for integrals of this degree.
@@ -82,7 +86,7 @@ def fill(
     mesh: Mesh,
     per_side: int,
     cells: npt.ArrayLike | None = None,
-    inside: Predicate | None = None,
+    inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
     """Points in the centres of equal parts of each cell.
@@ -115,7 +119,7 @@ def random(
     per_cell: int,
     seed: int,
     cells: npt.ArrayLike | None = None,
-    inside: Predicate | None = None,
+    inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
     """Uniformly distributed random points in each cell.
@@ -147,7 +151,7 @@ def random(
 def lattice(
     mesh: Mesh,
     spacing: float | npt.NDArray[np.float64],
-    inside: Predicate | None = None,
+    inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
     """Points on a regular lattice, independent of the cells.
@@ -174,8 +178,9 @@ def lattice(
         corners = geometry.corners(block)
         lower = np.minimum(lower, corners.min(axis=(0, 1)))
         upper = np.maximum(upper, corners.max(axis=(0, 1)))
-    origin = np.empty(geometry.dim)
+    origin, end = np.empty((2, geometry.dim))
     mesh.comm.Allreduce(lower, origin, MPI.MIN)
+    mesh.comm.Allreduce(upper, end, MPI.MAX)
 
     def position(index: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         return origin + (index + 0.5) * step
@@ -184,7 +189,7 @@ def lattice(
     parts: list[npt.NDArray[np.int64]] = [np.zeros((0, geometry.dim), dtype=np.int64)]
     for some in lattice_indices(lower, upper, origin, step):
         if inside is not None:
-            error, mask = check_selection(inside, position(some))
+            error, mask = mask_at(inside, position(some))
             if error is not None:
                 break
             some = some[mask]
@@ -200,15 +205,17 @@ def lattice(
     # once and let MaterialPoints find their owners.
     shared = np.concatenate(mesh.comm.allgather(index[(cell >= 0) & ~clear]))
     shared = np.unique(shared, axis=0)[mesh.comm.rank :: mesh.comm.size]
-    x = position(np.concatenate([mine, shared]))
-    check_any(mesh, len(x), f"a lattice of spacing {spacing}", inside)
-    points = MaterialPoints(mesh, x, float(np.prod(step)), tag=tag)
+    index = np.concatenate([mine, shared])
+    check_any(mesh, len(index), f"a lattice of spacing {spacing}", inside)
+    number = lattice_numbers(index, end, origin, step)
+    x = position(index)
+    points = MaterialPoints(mesh, x, float(np.prod(step)), tag=tag, number=number)
     points.sort()
     return points
 
 
 def from_mesh(background: Mesh, body: MaterialPoints) -> MaterialPoints:
-    """The same points (weights, tags and fields, but new ids) on another mesh.
+    """The same points (weights, tags, fields, order of ids) on another mesh.
 
     For bodies with a mesh of their own: `from_mesh(background, quadrature(body_mesh, 2))`.
 
@@ -220,20 +227,22 @@ def from_mesh(background: Mesh, body: MaterialPoints) -> MaterialPoints:
         PointsOutsideError: If some point is outside of the background mesh.
     """
     fields = {name: body[name] for name in body.field_names}
-    points = MaterialPoints(background, body.x, body.weight, tag=body.tag, fields=fields)
+    points = MaterialPoints(
+        background, body.x, body.weight, tag=body.tag, number=body.id, fields=fields
+    )
     points.sort()
     return points
 
 
 def on_facets(
-    mesh: Mesh, facets: npt.ArrayLike | Predicate, degree: int = 1, tag: int = 0
+    mesh: Mesh, facets: npt.ArrayLike | OfPosition, degree: int = 1, tag: int = 0
 ) -> MaterialPoints:
     """Points of a quadrature rule on facets, weighted by area (3D) or length (2D).
 
     Args:
         mesh: Mesh of the facets; see `from_mesh` to bring the points to another one.
-        facets: Local facets (those owned by other ranks are left to them), or a predicate: all
-            boundary facets of which it is true at all vertices.
+        facets: Local facets (those owned by other ranks are left to them), or a predicate as
+            `inside`: all boundary facets of which it is true at all vertices.
         degree: Degree that the rule integrates exactly on affine facets; 1 is one point a facet on
             simplices and quadrilaterals.
         tag: Tag of the points.
@@ -247,8 +256,9 @@ def on_facets(
     mesh.topology.create_connectivity(d - 1, d)
     mesh.topology.create_connectivity(d, d - 1)
     if callable(facets):
-        predicate = facets
-        chosen = locate_entities_boundary(mesh, d - 1, lambda x: predicate(x[:d].T))
+        marker = CaughtMarker(facets)
+        chosen = locate_entities_boundary(mesh, d - 1, marker)
+        raise_together(mesh.comm, marker.error)
     else:
         chosen = np.unique(np.asarray(facets, dtype=np.int32))
     index_map = mesh.topology.index_map(d - 1)
@@ -275,9 +285,31 @@ def on_facets(
     metric = np.swapaxes(tangents, 1, 2) @ tangents
     weight = np.tile(weights, len(chosen)) * np.sqrt(np.linalg.det(metric))
     check_any(mesh, len(weight), "a rule on facets", facets if callable(facets) else None)
-    body = MaterialPoints(mesh, geometry.push_forward(cell, xi), weight, cells=cell, tag=tag)
+    # a facet is numbered by the cell it is seen from, on the boundary its only one
+    number = geometry.key[cell] * of_cell.shape[1] + side
+    number = number * len(weights) + np.tile(np.arange(len(weights)), len(chosen))
+    x = geometry.push_forward(cell, xi)
+    body = MaterialPoints(mesh, x, weight, cells=cell, tag=tag, number=number)
     body.sort()
     return body
+
+
+def at(mesh: Mesh, x: npt.ArrayLike, weight: float = 1.0, tag: int = 0) -> MaterialPoints:
+    """Points at given positions, such as a probe that follows the motion as a `carried` point.
+
+    Args:
+        mesh: Background mesh.
+        x: Positions in m, the same on all ranks, shape (d,) for one or (n, d).
+        weight: Of each of them.
+        tag: Tag of the points.
+
+    Raises:
+        ValueError: If the positions have another shape.
+        PointsOutsideError: If some point is outside of the mesh.
+    """
+    positions = np.atleast_2d(np.asarray(x, dtype=np.float64))
+    here = positions if mesh.comm.rank == 0 else positions[:0]
+    return MaterialPoints(mesh, here, weight, tag=tag)
 
 
 def on_curve(

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: MIT
 """The time loops, and what observes them."""
 
-from fenicsmpm.simulation.audit import AuditedMPM, Balance, StepAudit
+from fenicsmpm.simulation.audit import Audit, Balance, StepAudit
 from fenicsmpm.simulation.explicit import ExplicitMPM
 from fenicsmpm.simulation.implicit import ImplicitMPM
+from fenicsmpm.simulation.observer import Observer
+from fenicsmpm.simulation.reaction import Reaction
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 
 __all__ = [
-    "AuditedMPM",
+    "Audit",
     "Balance",
     "ExplicitMPM",
     "ImplicitMPM",
+    "Observer",
+    "Reaction",
     "RigidBox",
     "Step",
     "StepAudit",

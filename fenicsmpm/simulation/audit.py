@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from fenicsmpm import _compat
+from fenicsmpm import _compat, _jit
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, moment, momentum
-from fenicsmpm.points import MaterialPoints
-from fenicsmpm.simulation.implicit import ImplicitMPM
+from fenicsmpm.simulation.explicit import ExplicitMPM
+from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.solvers import EffectiveProjection
 
@@ -83,76 +82,93 @@ class StepAudit:
         return "\n".join(lines)
 
 
-class AuditedMPM(ImplicitMPM):
-    """``ImplicitMPM`` that keeps a balance of each step; arguments are the same.
+class Audit(Observer):
+    """Keeps a balance of each step of a loop, as ``observers=[audit]``.
+
+    Of explicit steps, the grid before is that of the step's own momenta. Where a loop yields blocks
+    of them, the points' balances are those around the block.
 
     Attributes:
-        audit: of the last step; None before the first.
+        last: balances of the last step.
     """
 
-    audit: StepAudit | None = None
+    last: StepAudit
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def start(self, sim: Any) -> None:
         """Compile the mass of the grid, too (collective)."""
-        super().__init__(*arguments, **options)
-        space = self.scheme.histories["v"].function_space
-        self._effective = EffectiveProjection(self.bodies, space, self.scheme.lumping)
-        points = _compat.interpolation_points(space)
-        self._nodal_velocity = fem.Expression(self.scheme.grid_velocity(), points)
-        self._nodal_motion = fem.Expression(self.scheme.increment, points)
         self._found: dict[str, Balance] = {}
         self._mass = PETSc.Mat()
-
-    def map_to_grid(self) -> None:
-        """See ``ImplicitMPM``; then take the balance of the grid."""
-        before = self._points_balance()
-        super().map_to_grid()
-        self._mass.destroy()  # of a step that failed
-        self._mass = self._effective.mass()
-        grid = self._grid_balance(self._mass, self.scheme.histories["v"], None)
-        self._found = {"points_before": before, "grid_before": grid}
-
-    def convect(self, new: Mapping[MaterialPoints, Mapping[str, Array]]) -> int:
-        """See ``ImplicitMPM``; before that, take the balance of the grid."""
-        space = self._effective.space
-        velocity, motion = fem.Function(space), fem.Function(space)
-        velocity.interpolate(self._nodal_velocity)
-        motion.interpolate(self._nodal_motion)
-        self._found["grid_after"] = self._grid_balance(self._mass, velocity, motion)
-        self._mass.destroy()
-        return super().convect(new)
-
-    def step(self, dt: float | None = None) -> Step:
-        """See ``ImplicitMPM``."""
-        step = super().step(dt)
-        self.audit = StepAudit(**self._found, points_after=self._points_balance())
-        return step
-
-    def _points_balance(self) -> Balance:
-        return Balance(
-            np.sum([momentum(body) for body in self.bodies], axis=0),
-            sum(angular_momentum(body) for body in self.bodies),
-            sum(kinetic_energy(body) for body in self.bodies),
+        if isinstance(sim, ExplicitMPM):
+            return
+        space = sim.scheme.histories["v"].function_space
+        self._effective = EffectiveProjection(sim.bodies, space, sim.scheme.lumping)
+        points = _compat.interpolation_points(space)
+        self._nodal_velocity, self._nodal_motion = (
+            _jit.expression(value, points, space.mesh.comm)
+            for value in (sim.scheme.grid_velocity(), sim.scheme.increment)
         )
 
-    def _grid_balance(
-        self, mass: PETSc.Mat, velocity: fem.Function, motion: fem.Function | None
-    ) -> Balance:
+    def begin(self, sim: Any) -> None:
+        """Take the balance of the points."""
+        self._found = {"points_before": _of_points(sim)}
+
+    def mapped(self, sim: Any) -> None:
+        """Take the balance of the grid with the mapped velocities."""
+        self._mass.destroy()  # of a step that failed
+        self._mass = self._effective.mass()
+        self._found["grid_before"] = self._of_grid(sim.scheme.histories["v"], None)
+
+    def solved(self, sim: Any) -> None:
+        """Take the balance of the grid with the new velocities, at the nodes' new positions."""
+        velocity, motion = (fem.Function(self._effective.space) for _ in range(2))
+        velocity.interpolate(self._nodal_velocity)
+        motion.interpolate(self._nodal_motion)
+        self._found["grid_after"] = self._of_grid(velocity, motion)
+        self._mass.destroy()
+
+    def done(self, sim: Any, step: Step) -> None:
+        """Complete the balances of the step."""
+        if isinstance(sim, ExplicitMPM):
+            mass, dim = sim.mass().x.array, sim.velocity.function_space.mesh.geometry.dim
+            v, a = (f.x.array.reshape(-1, dim) for f in (sim.velocity, sim.acceleration()))
+            space = sim.velocity.function_space
+            n = space.dofmap.index_map.size_local
+            x, m = space.tabulate_dof_coordinates()[:n, :dim], mass[:n, None]
+            v, before = v[:n], v[:n] - step.dt * a[:n]
+            comm = space.mesh.comm
+            self._found["grid_before"] = _balance(comm, x, before, m * before)
+            self._found["grid_after"] = _balance(comm, x + step.dt * v, v, m * v)
+        self.last = StepAudit(**self._found, points_after=_of_points(sim))
+
+    def _of_grid(self, velocity: fem.Function, motion: fem.Function | None) -> Balance:
         space = self._effective.space
-        dim, comm = space.mesh.geometry.dim, space.mesh.comm
+        dim = space.mesh.geometry.dim
         n = space.dofmap.index_map.size_local
         v = velocity.x.array.reshape(-1, dim)[:n]
         x = space.tabulate_dof_coordinates()[:n, :dim]
         if motion is not None:
             x = x + motion.x.array.reshape(-1, dim)[:n]
-        column, product = mass.createVecs()
+        column, product = self._mass.createVecs()
         column.array_w[:] = v.ravel()
-        mass.mult(column, product)
+        self._mass.mult(column, product)
         p = product.array_r.reshape(-1, dim).copy()
         column.destroy()
         product.destroy()
-        return Balance(
-            comm.allreduce(p.sum(axis=0)),
-            comm.allreduce(moment(x, p)),
-            float(comm.allreduce(np.vdot(v, p) / 2)),
-        )
+        return _balance(space.mesh.comm, x, v, p)
+
+
+def _of_points(sim: Any) -> Balance:
+    return Balance(
+        np.sum([momentum(body) for body in sim.bodies], axis=0),
+        sum(angular_momentum(body) for body in sim.bodies),
+        sum(kinetic_energy(body) for body in sim.bodies),
+    )
+
+
+def _balance(comm: Any, x: Array, v: Array, p: Array) -> Balance:
+    """Of the owned nodes of all ranks, by positions, velocities and momenta."""
+    return Balance(
+        comm.allreduce(p.sum(axis=0)),
+        comm.allreduce(moment(x, p)),
+        float(comm.allreduce(np.vdot(v, p) / 2)),
+    )

@@ -11,27 +11,34 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.time_scheme import check_time_step
+from fenicsmpm.formulations.unknown import Condition, Unknown
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.exits import check_on_exit
+from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
     check_bodies,
     check_functions,
     check_space,
+    functions_of,
 )
 from fenicsmpm.simulation.explicit_on_lattice import OnLattice
+from fenicsmpm.simulation.observer import Observers, Watcher
+from fenicsmpm.simulation.parameters import of_points
+from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.residual import Residual
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
-from fenicsmpm.solvers.checks import check_bcs
+from fenicsmpm.solvers.checks import check_bcs, require_points
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
@@ -49,17 +56,18 @@ class ExplicitMPM:
             ``formulations.internal_force`` of each body, ``body_force``, ``dead_load``, and terms
             of one's own over points, cells and facets. The velocity in it is the one of the
             beginning of the step; inertia is not part of it.
-        velocity: function of a linear Lagrange space with d components, which will hold the
-            nodes' velocity [m/s].
+        unknown: the velocity of the nodes [m/s], ``Unknown(mesh, "v")``, in linear functions. Its
+            conditions are all components for fixed nodes, the normal one for rollers and slip
+            walls.
         bodies: material points with the fields of ``formulations.set_initial_state``. They meet on
             the grid, without slip; each has averages of J of its own. They see the grid functions
             chosen by ``basis.use``, otherwise the finite elements of the mesh.
         carried: further points that move with the grid, such as those that carry loads; each gets
             a field "u" if it has none.
-        bcs: Dirichlet conditions on velocities: all components for fixed nodes, the normal one
-            for rollers and slip walls.
-        updates: for each point set, more fields to be renewed at the end of a step: UFL over its
-            points with the velocity at the end of the step, or functions that return new arrays.
+        bcs: further Dirichlet conditions of dolfinx.
+        updates: for each point set, more fields to be renewed at the end of a step, beside those of
+            ``PointField.renew``: UFL over its points with the velocity at the end of the step, or
+            functions that return new arrays.
         data: called with the times at the beginning and end of each step, to set loads and
             boundary values of its beginning. Points are as they are then.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
@@ -68,6 +76,8 @@ class ExplicitMPM:
         flip: share of FLIP in velocities, the rest is PIC (eq. 13).
         damping: share of local damping, for static problems.
         rigid: boxes that bodies cannot enter.
+        observers: called around the steps that are yielded, in their order: ``Observer``s, or
+            functions of the simulation and the ``Step``.
 
     Attributes:
         velocity: of the nodes [m/s], at the end of the last step.
@@ -81,6 +91,7 @@ class ExplicitMPM:
         bcs: may be changed between steps, as may flip, damping and data.
         rigid: boxes.
         reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
+        duration: dt as a constant for UFL, such as that of ``updates`` [s].
         seconds: time spent in each stage so far [s].
 
     Raises:
@@ -92,7 +103,7 @@ class ExplicitMPM:
     def __init__(
         self,
         R: ufl.Form,
-        velocity: fem.Function,
+        unknown: Unknown,
         bodies: MaterialPoints | Sequence[MaterialPoints],
         *,
         carried: Sequence[MaterialPoints] = (),
@@ -105,6 +116,7 @@ class ExplicitMPM:
         flip: float = 1.0,
         damping: float = 0.0,
         rigid: Sequence[RigidBox] = (),
+        observers: Sequence[Watcher] = (),
     ) -> None:
         """Check and compile everything (collective)."""
         if dt is not None:
@@ -114,16 +126,16 @@ class ExplicitMPM:
                 f"cfl must be positive, flip lie in [0, 1] and damping in [0, 1): {cfl}, {flip}, "
                 f"{damping}"
             )
-        check_on_exit(on_exit)
-        V = velocity.function_space
-        self.velocity = velocity
+        self.exits = Exits(on_exit)
+        self.unknown, self.velocity = unknown, _velocity(unknown)
+        V = unknown.space
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
         check_space(V)
         check_bodies(V, self.bodies, self.carried)
         check_functions([*self.bodies, *self.carried])
         check_bcs(bcs, V)
-        self.residual = Residual(R, velocity, self.bodies, self.carried)
+        self.residual = Residual(R, self.velocity, self.bodies, self.carried)
         self.laws: dict[MaterialPoints, Law] = {
             body: sigma.law for body, sigma in self.residual.stresses.items()
         }
@@ -132,7 +144,9 @@ class ExplicitMPM:
                 points.add_field("u", (V.mesh.geometry.dim,))
         if any(len(box.force) != V.mesh.geometry.dim for box in rigid):
             raise ValueError(f"a rigid box needs corners of {V.mesh.geometry.dim} numbers here")
-        self.bcs, self.rigid, self.data, self.on_exit = list(bcs), list(rigid), data, on_exit
+        self._fixed = unknown.bcs
+        self.bcs, self.rigid = [*self._fixed, *bcs], list(rigid)
+        self.data = data
         self.flip, self.damping = flip, damping
         self.time, self.number = 0.0, 0
         self.reaction = np.zeros(V.mesh.geometry.dim)
@@ -142,25 +156,66 @@ class ExplicitMPM:
         self._h = _smallest_height(V.mesh)
         way = OnLattice if self._is_for_kernels() else ByForms
         self.dt = dt or 1.0
-        self._way: OnLattice | ByForms = way(self, updates or {})
+        self.duration = fem.Constant(V.mesh, self.dt)
+        self._way: OnLattice | ByForms = way(self, self._all_updates(R, updates or {}))
         self.dt = self._step_length()
+        self._observers = Observers(observers)
+        self._observers.call("start", self)
+
+    def _all_updates(
+        self, R: ufl.Form, updates: Mapping[MaterialPoints, Mapping[str, Any]]
+    ) -> dict[MaterialPoints, dict[str, Any]]:
+        """What the residual's fields say of their renewal, and the user's updates."""
+        moving = [*self.bodies, *self.carried]
+        check_updates(updates, moving)
+        found = renewals(R, moving, self.duration * self.velocity)
+        return {
+            points: {**found[points], **updates.get(points, {})}
+            for points in moving
+            if found[points] or points in updates
+        }
 
     @property
+    def has_data(self) -> bool:
+        """Whether boundary values or loads are set anew for each step."""
+        return self.data is not None or any(c.depends_on_time for c in self.unknown.conditions)
+
+    def set_data(self) -> None:
+        """Set boundary values, and what the user sets, for the next step."""
+        self.unknown.require_conditions(self._fixed)
+        if self.has_data:
+            self.unknown.set_conditions(self.time, self.time + self.dt)
+        if self.data is not None:
+            self.data(self.time, self.time + self.dt)
+
+    def reaction_of(self, condition: Condition) -> npt.NDArray[np.float64]:
+        """Force on the bodies by a condition in the last step, ``(d,)`` [N] (collective).
+
+        Args:
+            condition: made by ``Unknown.fix``.
+        """
+        dofs, forces = self._way.support_forces()
+        here = np.isin(dofs, _compat.bc_dofs(condition.bc))
+        dim = self.velocity.function_space.mesh.geometry.dim
+        value = np.bincount(dofs[here] % dim, forces[here], minlength=dim)
+        return np.asarray(self.velocity.function_space.mesh.comm.allreduce(value))
+
     def mass(self) -> fem.Function:
         """Of the nodes in the last step [kg] (collective at first use)."""
-        return self._way.mass
+        return self._way.mass()
 
-    @property
     def acceleration(self) -> fem.Function:
         """Of the nodes in the last step [m/s^2] (collective at first use)."""
-        return self._way.acceleration
+        return self._way.acceleration()
 
     def _is_for_kernels(self) -> bool:
         """Whether fused kernels do what the residual says, but for further terms."""
         mesh = self.velocity.function_space.mesh
         if cell_geometry(mesh).boxes is None or self.residual.internal != set(self.bodies):
             return False
-        if self.on_exit != "error":  # kernels keep all points until the end of a block
+        if functions_of(self.bodies[0]) == "cpgimp":  # kernels have one size for all points
+            return False
+        if self.exits.on_exit != "error":  # kernels keep all points until the end of a block
             return False
         try:
             lattice_of(mesh)
@@ -176,8 +231,9 @@ class ExplicitMPM:
         Raises:
             UnstableError: as ``run`` does.
         """
+        self._observers.call("begin", self)
         removed = self._advance(1, self._step_length(), may_stay=True)
-        return Step(self.number, self.time, self.dt, removed=removed)
+        return self._done(removed)
 
     def run(self, until: float, interval: float | None = None) -> Iterator[Step]:
         """Do steps until a time (collective).
@@ -202,6 +258,7 @@ class ExplicitMPM:
             # from where it is, so that a restart there does the same
             stop = until if interval is None else min(until, self.time + interval)
             removed = 0
+            self._observers.call("begin", self)
             while stop - self.time > 1e-9 * self.dt:
                 # equal steps that end at the stop, none longer than it may be
                 left = stop - self.time
@@ -213,7 +270,13 @@ class ExplicitMPM:
                     break
             else:
                 self.time = stop  # without the round-off of the sum of steps
-            yield Step(self.number, self.time, self.dt, removed=removed)
+            yield self._done(removed)
+
+    def _done(self, removed: int) -> Step:
+        """The last step, when observers have seen it."""
+        step = Step(self.number, self.time, self.dt, removed=removed)
+        self._observers.done(self, step)
+        return step
 
     def _advance(self, steps: int, dt: float, may_stay: bool) -> int:
         """Do some steps; how many points left the mesh meanwhile."""
@@ -243,6 +306,16 @@ class ExplicitMPM:
         return type(self).__name__ + boxes
 
     @property
+    def parameters(self) -> dict[str, str]:
+        """What the script has chosen, for checkpoints."""
+        said = {"flip": repr(self.flip), "damping": repr(self.damping)}
+        for k, body in enumerate(self.bodies):
+            if body in self.laws:
+                said[f"law of body {k}"] = repr(self.laws[body])
+                said[f"averages of body {k}"] = repr(self.residual.averages.get(body))
+        return {**said, **of_points([*self.bodies, *self.carried])}
+
+    @property
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points, for checkpoints."""
         ways = {
@@ -269,8 +342,7 @@ class ExplicitMPM:
                 density = float(np.min(points["mass"] / points["V_0"]))
                 speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
-        if sum(points.size_global for points in self.bodies) == 0:
-            raise ValueError("all bodies are empty: there are no points to move")
+        require_points(self.bodies)
         fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
         return self._h / fastest if fastest > 0 else math.inf
 
@@ -346,3 +418,13 @@ def _smallest_height(mesh: Any) -> float:
             gradients = np.concatenate([gradients, last], axis=1)
         steepest = max(steepest, float(np.max(np.sum(gradients**2, axis=2))))
     return 1.0 / math.sqrt(mesh.comm.allreduce(steepest, MPI.MAX))
+
+
+def _velocity(unknown: Unknown) -> fem.Function:
+    """The function of an unknown that is a velocity alone."""
+    if len(unknown.parts) != 1 or not unknown.parts[0].is_vector or unknown.moving is not None:
+        raise ValueError(
+            'the unknown of explicit steps is the velocity of the nodes, Unknown(mesh, "v"), not '
+            f"{unknown!r}"
+        )
+    return unknown.U

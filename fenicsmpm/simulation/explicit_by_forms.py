@@ -26,7 +26,6 @@ from fenicsmpm.formulations.internal_force import (
 from fenicsmpm.formulations.kinematics import embed
 from fenicsmpm.materials import Law, state_of, stress
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.exits import move
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.simulation.unstable import force_without_material
@@ -77,7 +76,7 @@ class BodyByForms:
         F = moved_F(points, f, averages, law is not None and law.is_fluid)
         motion = {
             "v": flip * (points.field("v") + increment) + (1 - flip) * velocity,
-            "u": points.field("u") + dt * velocity,
+            "x": dt * velocity,
         }
         fields = {"F": F, "J": ufl.det(F), **updates}
         if averages is not None:
@@ -97,8 +96,8 @@ class BodyByForms:
         return p2g(self.points, columns, space, positive=True).array.reshape(-1, columns.shape[1])
 
     def moved(self) -> dict[str, Array]:
-        """Velocities "v" and displacements "u" after the step; the points stay as they are."""
-        return self._motion.evaluate()
+        """Velocities "v", displacements "u" and positions "x" after the step; points stay."""
+        return _summed(self.points, self._motion.evaluate())
 
     def strained(self, law: Law | None) -> dict[str, Array]:
         """Other fields after the step, by the law as it is now; the points stay as they are."""
@@ -137,8 +136,6 @@ class ByForms:
         updates: further fields to be renewed.
 
     Attributes:
-        mass: of the nodes in the last step [kg].
-        acceleration: of the nodes in the last step [m/s^2].
         longest: how many steps may be done before points are up to date.
     """
 
@@ -154,10 +151,9 @@ class ByForms:
         mesh = V.mesh
         self._V, self._dim = V, mesh.geometry.dim
         self._scalars = fem.functionspace(mesh, ("Lagrange", 1))
-        self.mass = fem.Function(self._scalars, name="mass")
-        self.acceleration = fem.Function(V, name="acceleration")
+        self._mass = fem.Function(self._scalars, name="mass")
+        self._acceleration = fem.Function(V, name="acceleration")
         self._increment = fem.Function(V, name="increment")
-        self._dt = fem.Constant(mesh, sim.dt)
         self._flip = fem.Constant(mesh, float(sim.flip))
         self._force = la.vector(V.dofmap.index_map, self._dim)
         # loads act at surfaces, where more nodes are light
@@ -179,7 +175,7 @@ class ByForms:
                 sim.velocity,
                 self._increment,
                 self._straining,
-                self._dt,
+                sim.duration,
                 self._flip,
                 self._scalars,
                 updates.get(body, {}),
@@ -189,11 +185,24 @@ class ByForms:
         self._carried = {
             points: forms.FieldUpdates(
                 points,
-                {"u": points.field("u") + self._dt * sim.velocity, **updates.get(points, {})},
+                {"x": sim.duration * sim.velocity, **updates.get(points, {})},
             )
             for points in sim.carried
         }
         self._light_nodes = LightNodes(V)
+        self._supported: Array = np.empty(0)
+
+    def mass(self) -> fem.Function:
+        """Of the nodes in the last step [kg]."""
+        return self._mass
+
+    def acceleration(self) -> fem.Function:
+        """Of the nodes in the last step [m/s^2]."""
+        return self._acceleration
+
+    def support_forces(self) -> tuple[npt.NDArray[np.int32], Array]:
+        """See ``ExplicitMPM.reaction_of``: owned dofs, and the force at each of them [N]."""
+        return np.arange(len(self._supported), dtype=np.int32), self._supported
 
     def settle(self) -> None:
         """Nothing: all points are up to date."""
@@ -208,23 +217,25 @@ class ByForms:
         Returns:
             How many points left the mesh.
         """
-        moving = [*self._sim.bodies, *self._sim.carried]
-        ways = [box.moved for box in self._sim.rigid]
+        sim = self._sim
+        moving = [*sim.bodies, *sim.carried]
+        ways = [box.moved for box in sim.rigid]
+        held = dict(sim.exits.held)
         before = [(points, points.snapshot(copy=False), points.size_global) for points in moving]
         try:
             return sum(self._step() for _ in range(steps))
         except BaseException:
             for points, arrays, size_global in before:
                 points.restore(arrays, size_global)
-            for box, way in zip(self._sim.rigid, ways, strict=True):
+            sim.exits.held = held
+            for box, way in zip(sim.rigid, ways, strict=True):
                 box.moved = way
             raise
 
     def _step(self) -> int:
         sim, clock = self._sim, self._sim.seconds
-        self._dt.value, self._flip.value = sim.dt, sim.flip
-        if sim.data is not None:
-            sim.data(sim.time, sim.time + sim.dt)
+        sim.duration.value, self._flip.value = sim.dt, sim.flip
+        sim.set_data()
         with clock("P2G"):
             self._points_to_grid()
         with clock("forces"):
@@ -242,7 +253,8 @@ class ByForms:
         with clock("G2P"):
             for body in self._bodies:
                 new[body.points] |= body.strained(sim.laws.get(body.points))
-            new |= {points: update.evaluate() for points, update in self._carried.items()}
+            for points, update in self._carried.items():
+                new[points] = _summed(points, update.evaluate())
         sim.raise_if([m for b in self._bodies if (m := _fault(b.points, new[b.points]))])
         with clock("convect"):
             removed = self._convect(new)
@@ -253,14 +265,14 @@ class ByForms:
         """Mass and velocity of the nodes."""
         v = {body.points: body.points["v"] for body in self._bodies}
         mass = self._nodal_velocity(v, self._sim.velocity)
-        self.mass.x.array[:] = mass
+        self._mass.x.array[:] = mass
 
     def _nodal_velocity(self, v: Mapping[MaterialPoints, Array], result: fem.Function) -> Array:
         """Velocity of the nodes from those of the points; mass of the nodes [kg]."""
         sums = np.sum([body.momentum(self._V, v[body.points]) for body in self._bodies], axis=0)
         mass = sums[:, :1]
         # where functions end, round-off may have any sign
-        mass[mass <= self._least_mass] = 0.0
+        mass[mass <= self._least_mass()] = 0.0
         velocity = result.x.array.reshape(-1, self._dim)
         velocity[:] = 0.0
         np.divide(sums[:, 1:], mass, out=velocity, where=mass > 0)
@@ -284,7 +296,7 @@ class ByForms:
             force.scatter_reverse(la.InsertMode.add)
             force.scatter_forward()
             nodes = force.array.reshape(-1, self._dim)
-            self._light_nodes.relieve(self.mass.x.array, nodes, light, of_loads)
+            self._light_nodes.relieve(self._mass.x.array, nodes, light, of_loads)
             total -= force.array
         force.array[:] = total
 
@@ -313,7 +325,7 @@ class ByForms:
         for box, velocity in zip(sim.rigid, velocities, strict=True):
             box.moved = box.moved + sim.dt * velocity
             for body, fields in new.items():
-                x_next = body.x + (fields["u"] - body["u"])
+                x_next = fields["x"]
                 free = x_next.copy()
                 box.force += keep_points_out(
                     x_next, fields["v"], body["mass"], box.lower, box.upper, velocity, box.reach,
@@ -325,7 +337,7 @@ class ByForms:
     def _move_nodes(self) -> None:
         """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""
         sim, dt = self._sim, self._sim.dt
-        mass = self.mass.x.array[:, None]
+        mass = self._mass.x.array[:, None]
         v = sim.velocity.x.array.reshape(-1, self._dim)
         f = self._force.array.reshape(-1, self._dim)
         nowhere = (mass[:, 0] == 0) & (f != 0).any(axis=1)
@@ -342,8 +354,9 @@ class ByForms:
         fixed[_compat.fixed_dofs(sim.bcs)] = True
         push = np.where(fixed.reshape(v.shape), mass * (v - before) / dt - f, 0.0)
         sim.reaction = self._V.mesh.comm.allreduce(push[:owned].sum(axis=0))
+        self._supported = push[:owned].ravel()
         self._increment.x.array[:] = (v - before).ravel()
-        self.acceleration.x.array[:] = self._increment.x.array / dt
+        self._acceleration.x.array[:] = self._increment.x.array / dt
 
     def _describe_load(self, nodes: npt.NDArray[np.intp]) -> list[str]:
         if not len(nodes):
@@ -355,17 +368,15 @@ class ByForms:
         """Give points their new fields, and move them."""
         sim, removed = self._sim, 0
         for points, fields in new.items():
-            way = fields["u"] - points["u"]
-            points.assign(fields)
+            points.assign({name: array for name, array in fields.items() if name != "x"})
             if points in sim.bodies:
                 points.assign({"weight": points["V_0"] * points["J"]})
             try:
-                removed += move(points, points.x + way, sim.on_exit)
+                removed += sim.exits.move(points, fields["x"])
             except PointsOutsideError as error:
                 sim.raise_if([f"a point leaves the mesh: {error}"])
         return removed
 
-    @property
     def _least_mass(self) -> float:
         """Far below any point's share in a node whose support it is in [kg]."""
         least = min(float(np.min(body["mass"], initial=np.inf)) for body in self._sim.bodies)
@@ -383,6 +394,12 @@ class ByForms:
     def __repr__(self) -> str:
         """What is done by forms: everything."""
         return "by forms: " + "; ".join(f"{form}" for form, *_ in self._forms)
+
+
+def _summed(points: MaterialPoints, new: dict[str, Array]) -> dict[str, Array]:
+    """New fields with displacements "u" and positions "x", from increments of both in "x"."""
+    increment = new["x"]
+    return {**new, "u": points["u"] + increment, "x": points.x + increment}
 
 
 def _fault(points: MaterialPoints, new: Mapping[str, Array]) -> str | None:

@@ -9,6 +9,7 @@ from dolfinx import fem
 
 from fenicsmpm.basis import is_linear
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.solvers.checks import require_points
 
 _NEEDED = ("mass", "V_0", "F", "J", "u", "v")
 
@@ -50,8 +51,7 @@ def check_bodies(
             "bodies and carried points must be on the mesh of the velocity: bring them there with "
             "points.from_mesh"
         )
-    if sum(points.size_global for points in bodies) == 0:
-        raise ValueError("all bodies are empty: there are no points to be moved")
+    require_points(bodies)
     for body in bodies:
         missing = [name for name in _NEEDED if name not in body]
         if missing:

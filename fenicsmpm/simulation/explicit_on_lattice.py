@@ -76,7 +76,7 @@ class OnLattice:
     def longest(self) -> int:
         """How many steps may be done at once."""
         # what gives data may look at points
-        if not self._may_stay or self._sim.data is not None:
+        if not self._may_stay or self._sim.has_data:
             return 1
         return STEPS_OF_A_BLOCK - (self._count if self.is_open else 0)
 
@@ -94,8 +94,7 @@ class OnLattice:
         """
         sim, clock = self._sim, self._sim.seconds
         stays = may_stay and self._may_stay
-        if sim.data is not None:
-            sim.data(sim.time, sim.time + sim.dt)
+        sim.set_data()
         if self.is_open and self._has_changed():
             self.settle()
         if not self.is_open:
@@ -112,6 +111,7 @@ class OnLattice:
                 self._count += 1
             faults = [(part, part.bad_stress()) for part in self._engine.parts]
             sim.raise_if([part.describe(block) for part, block in faults if block >= 0])
+            sim.duration.value = sim.dt
             new = {points: update.evaluate() for points, update in self._updates.items()}
         except BaseException:
             self._go_back()
@@ -167,7 +167,7 @@ class OnLattice:
             return True
         place = locator(mesh)
         home = True
-        positions = [part.positions for part in self._engine.parts]
+        positions = [part.near_border for part in self._engine.parts]
         positions += [carried.positions for carried in self._engine.carried]
         for x in positions:
             cell, xi = place.locate(x, owned=True)
@@ -198,7 +198,7 @@ class OnLattice:
 
     def _step(self, again: bool, keep: bool) -> None:
         sim, engine, dt, clock = self._sim, self._engine, self._sim.dt, self._sim.seconds
-        if sim.data is not None or keep:
+        if sim.has_data or keep:
             engine.read_supports()
         velocities = [box.velocity_at(sim.time) for box in sim.rigid]
         messages = []
@@ -223,6 +223,7 @@ class OnLattice:
             anew = self._agree(messages, reaction)
             if keep:
                 self._write_nodes()
+                self._support_forces = engine.support_forces()
             engine.average()
         with clock("stress and P2G"):
             engine.finish(again, keep, anew)
@@ -235,9 +236,9 @@ class OnLattice:
             for points, traction in self._tractions.items()
         }
         if self._at_bodies is not None or self._elsewhere is not None:
-            engine.write("mass", self.mass)
+            engine.write("mass", self.mass())
             engine.write("momentum", velocity)
-            momentum, mass = velocity.x.array.reshape(-1, self._dim), self.mass.x.array[:, None]
+            momentum, mass = velocity.x.array.reshape(-1, self._dim), self.mass().x.array[:, None]
             np.divide(momentum, mass, out=momentum, where=mass > 0)
         if self._at_bodies is not None:
             engine.add_forces(self._assemble(self._at_bodies))
@@ -252,7 +253,6 @@ class OnLattice:
         owned = force.index_map.size_local
         return -force.array.reshape(-1, self._dim)[:owned]
 
-    @property
     def mass(self) -> fem.Function:
         """Of the nodes in the last step [kg] (collective at first use)."""
         if "mass" not in self._functions:
@@ -260,7 +260,10 @@ class OnLattice:
             self._make("mass", fem.functionspace(mesh, ("Lagrange", 1)))
         return self._functions["mass"]
 
-    @property
+    def support_forces(self) -> tuple[npt.NDArray[np.int32], Array]:
+        """See ``ExplicitMPM.reaction_of``: owned dofs, and the force at each of them [N]."""
+        return self._support_forces()
+
     def acceleration(self) -> fem.Function:
         """Of the nodes in the last step [m/s^2] (collective at first use)."""
         if "acceleration" not in self._functions:

@@ -18,53 +18,69 @@ from dolfinx import fem
 from fenicsmpm import _compat
 from fenicsmpm.cells import Tying
 from fenicsmpm.forms import FieldUpdates, PointExpression
-from fenicsmpm.formulations import Kinematics, parts, subspaces
-from fenicsmpm.formulations.mixed import require_linear
+from fenicsmpm.formulations import Kinematics
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
+from fenicsmpm.formulations.unknown import Part, Unknown
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.exits import check_on_exit, move
+from fenicsmpm.points.exits import Exits
+from fenicsmpm.simulation.observer import Observers, Watcher
+from fenicsmpm.simulation.parameters import of_points, of_residual
+from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.step import Step
-from fenicsmpm.solvers import EffectiveProjection, NewtonError, NewtonResult, NewtonSolver
-from fenicsmpm.solvers.checks import check_updates, require_fields, warn_of_points_that_stay
+from fenicsmpm.solvers import (
+    EffectiveProjection,
+    LinearSolver,
+    NewtonError,
+    NewtonResult,
+    NewtonSolver,
+)
+from fenicsmpm.solvers.checks import require_fields, require_points, warn_of_points_that_stay
 from fenicsmpm.solvers.stopwatch import Stopwatch
 from fenicsmpm.transfer import project
 
 logger = logging.getLogger(__name__)
 
-# Fields of a body that are mapped to the parts of the unknown, in their order
-_PARTS = ("u", "p", "Pi_u", "Pi_p")
+
+# Iterations of Newton's method that make a load step an easy one
+_EASY = 5
 
 
 class ImplicitMPM:
     """Updated Lagrangian dynamics of material points on a background mesh that stays.
 
-    A step is ``map_to_grid``, ``predict``, ``solve``, ``map_to_points`` and ``convect``; a
-    subclass or a loop of one's own may replace any of them.
+    A step is ``map_to_grid``, ``predict``, ``solve``, ``map_to_points`` and ``convect``, which a
+    loop of one's own may call, too.
 
     Args:
         R: residual, with inertia from the scheme.
-        U: its unknown, ``u``, ``(u, p)`` or ``(u, p, Pi_u, Pi_p)``.
-        scheme: time scheme made with U.
+        unknown: its unknown, with a part that moves the points; what they carry is mapped to
+            ``unknown.old`` at the beginning of a step. Its conditions are set for each step.
+        scheme: time scheme of the same unknown.
         bodies: material points with the fields of ``set_initial_state``.
         carried: further points that move with the grid, such as those that carry loads; each gets
             a field "u" if it has none.
-        bcs: Dirichlet conditions on U, whose displacement is the share ``scheme.share`` of the
-            step's increment (1 but for ``GeneralizedAlpha``); ``data`` sets those that move.
-        updates: for each body, more fields to be updated at the end of a step: UFL over its points,
-            or functions that return new arrays.
-        data: called with the times at the beginning and end of the motion U, to set boundary values
+        bcs: further Dirichlet conditions of dolfinx, whose displacement is the share
+            ``scheme.share`` of the step's increment (1 but for ``GeneralizedAlpha``); ``data`` sets
+            those that move.
+        updates: for each body, more fields to be updated at the end of a step, beside those that
+            the residual needs and ``PointField.renew`` says: UFL over its points, or functions that
+            return new arrays.
+        data: called with the times at the beginning and end of the motion u, to set boundary values
             by it, and loads: those of its end, where equations hold, or of its middle for
             ``Midpoint``.
         taylor: continue velocities linearly from points to nodes when they are mapped, see
             ``transfer.project``; otherwise as in the paper.
         on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
-        adapt: called with each body at the end of a step, to change its quadrature weights.
+        observers: called around the steps, in their order: ``Observer``s, or functions of the
+            simulation and the ``Step`` that was done, such as one that corrects weights. Their
+            errors end a run after a step that was done.
         newton: options of ``NewtonSolver``.
 
     Raises:
-        ValueError: for a scheme of another unknown, no bodies, bodies without their fields,
-            updates of points or fields that are not there, missing updates of fields on which a
-            stress depends, tied nodes of another body or several, or another ``on_exit``.
+        ValueError: for a scheme of another unknown, no bodies, bodies without their fields or of
+            which none has points, a displacement on the boundary that does not say how it depends
+            on time, updates of points or fields that are not there, fields that are renewed twice,
+            tied nodes of other bodies, or another ``on_exit``.
 
     Attributes:
         time: [s].
@@ -76,7 +92,7 @@ class ImplicitMPM:
     def __init__(
         self,
         R: ufl.Form,
-        U: fem.Function,
+        unknown: Unknown,
         scheme: TimeScheme,
         bodies: MaterialPoints | Sequence[MaterialPoints],
         *,
@@ -86,86 +102,105 @@ class ImplicitMPM:
         data: Callable[[float, float], None] | None = None,
         taylor: bool = False,
         on_exit: str = "error",
-        adapt: Callable[[MaterialPoints], None] | None = None,
+        observers: Sequence[Watcher] = (),
         newton: Mapping[str, Any] | None = None,
     ) -> None:
         """Compile the residual, its tangent and the updates (collective)."""
-        self.U, self.scheme = U, scheme
+        self.unknown, self.scheme = unknown, scheme
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
-        if not self.bodies or scheme.U is not U:
-            raise ValueError("ImplicitMPM needs a body, and a time scheme of the same unknown U")
-        check_on_exit(on_exit)
-        self.data, self.taylor, self.on_exit, self.adapt = data, taylor, on_exit, adapt
+        if not self.bodies or scheme.unknown is not unknown:
+            raise ValueError("ImplicitMPM needs a body, and a time scheme of the same unknown")
+        require_points(self.bodies)
+        self.exits = Exits(on_exit)
+        self.data, self.taylor = data, taylor
+        self._observers = Observers(observers)
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
         self.next_dt = self._dt = float(scheme.dt.value)
-        self.newton = NewtonSolver(R, U, bcs, **(newton or {}))
-        shapes = dict(zip(_PARTS, (part.ufl_shape for part in parts(U)), strict=False))
-        self._parts = subspaces(U.function_space)
-        self._nodal = [fem.Function(space) for space, _ in self._parts[1:]]
+        _check_conditions(unknown)
+        self._fixed = unknown.bcs
+        self.newton = NewtonSolver(R, unknown.U, [*self._fixed, *bcs], **(newton or {}))
+        self._described = of_residual(R)
+        self._histories = [part for part in unknown.parts if part.role == "history"]
+        dim = unknown.mesh.geometry.dim
         tying = self.newton.tying
-        if tying is not None and self.bodies != [tying.body]:
-            raise ValueError("nodes are tied by the cells that one body fills: give just this body")
+        if tying is not None and set(self.bodies) != set(tying.bodies):
+            raise ValueError(
+                "nodes are tied by the cells that the bodies of the simulation fill together: give "
+                "Tying all of them, and no other"
+            )
+        assert unknown.moving is not None  # else there were no scheme
+        self._moving_dofs = unknown.dofs(unknown.moving)
         self._projection = None
+        mapped = [part.name for part in self._histories]
         if scheme.lumping > 0:
-            require_linear(U, "mapping of velocities by the lumped mass")
+            mapped.append(unknown.moving)
+        if mapped:
+            unknown.require_linear("mapping by the lumped mass", *mapped)
         if scheme.lumping < 1:
             if taylor:
                 raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
-            space = self._parts[0][0]
+            space = unknown.part_space(unknown.moving)
             if tying is not None and tying.space is not space:
-                tying = Tying(space, tying.body, tying.cells, tying.threshold)
+                tying = Tying(space, tying.bodies, tying.cells, tying.threshold)
             self._projection = EffectiveProjection(self.bodies, space, scheme.lumping, tying)
         for body in self.bodies:
             require_fields(body)
-            for name, shape in shapes.items():
+            for part in self._histories:
+                _add_history(body, part, dim)
+            for name, function in scheme.histories.items():
                 if name not in body:
-                    body.add_field(name, shape)
-            for name in scheme.histories:
-                if name not in body:
-                    body.add_field(name, shapes["u"])
+                    body.add_field(name, function.ufl_shape)
             for name, value in scheme.updates(body).items():
                 if name not in body:
                     body.add_field(name, value.ufl_shape)
-            if "grad_v" not in body:
-                body.add_field("grad_v", (*shapes["u"], body.mesh.geometry.dim))
+            if taylor and "grad_v" not in body:
+                body.add_field("grad_v", (dim, dim))
         for points in self.carried:
             if "u" not in points:
-                points.add_field("u", shapes["u"])
+                points.add_field("u", (dim,))
         moving = [*self.bodies, *self.carried]
         self._volumes = [
-            PointExpression(Kinematics(parts(U)[0], body).j, body) for body in self.bodies
+            PointExpression(Kinematics(scheme.u, body).j, body) for body in self.bodies
         ]
         warn_of_points_that_stay(self.newton.R, moving)
-        check_updates(self.newton.R, self.bodies, moving, updates or {}, scheme.share)
+        check_updates(updates or {}, moving)
+        renewed = renewals(R, moving, scheme.increment)
+        _check_times(renewed, scheme)
         self._updates = {
-            points: FieldUpdates(points, self._new_fields(points, updates or {}))
+            points: FieldUpdates(
+                points,
+                self._new_fields(points) | renewed[points] | dict((updates or {}).get(points, {})),
+            )
             for points in moving
         }
+        self._observers.call("start", self)
 
     # --- stages ------------------------------------------------------------------------------
 
     def map_to_grid(self) -> None:
-        """P2G: histories of the scheme by its mass, pressure and projections by lumped mass."""
-        functions = dict(zip(_PARTS[1:], self._nodal, strict=False))
+        """P2G: histories of the scheme by its mass, those of the unknown by lumped mass."""
+        functions = {part.name: getattr(self.unknown.old, part.name) for part in self._histories}
         if self._projection is None:
             functions |= self.scheme.histories
         else:
-            fixed = np.isin(self._parts[0][1], _compat.fixed_dofs(self.newton.bcs))
+            fixed = np.isin(self._moving_dofs, _compat.fixed_dofs(self.newton.bcs))
             self._projection.project(self.scheme.histories, np.flatnonzero(fixed))
         slopes = {"v": "grad_v"} if self.taylor else {}
         project(self.bodies, functions, gradients=slopes)
 
     def predict(self) -> None:
-        """Start Newton's method from the old pressure and a motion that goes on as it was.
+        """Start Newton's method from the histories and a motion that goes on as it was.
 
         At nodes of little mass that may turn cells inside out; then it starts from no motion.
         """
-        x = self.U.x.array
-        for function, (_, dofs) in zip(self._nodal, self._parts[1:], strict=True):
-            x[dofs] = function.x.array
-        dofs = self._parts[0][1]
+        z = self.unknown
+        x = z.U.x.array
+        for part in z.parts:
+            history = part.role == "history"
+            x[z.dofs(part.name)] = getattr(z.old, part.name).x.array if history else 0.0
+        dofs = self._moving_dofs
         for guess in (*self.scheme.predictions(), 0.0):
             x[dofs] = guess
             for bc in self.newton.bcs:
@@ -176,38 +211,40 @@ class ImplicitMPM:
     def _least_stretch(self) -> float:
         """Smallest det f of all points (collective)."""
         least = min(float(np.min(j.evaluate(), initial=1.0)) for j in self._volumes)
-        return self.U.function_space.mesh.comm.allreduce(least, MPI.MIN)
+        return self.unknown.mesh.comm.allreduce(least, MPI.MIN)
 
     def solve(self) -> NewtonResult:
         """Find the increment of displacement and the pressure on the grid."""
         return self.newton.solve()
 
     def map_to_points(self) -> dict[MaterialPoints, dict[str, npt.NDArray[np.float64]]]:
-        """G2P: new values of the fields of all points; nothing is assigned yet."""
-        return {points: update.evaluate() for points, update in self._updates.items()}
+        """G2P: new fields of all points, and their new positions "x"; nothing is assigned yet."""
+        new = {points: update.evaluate() for points, update in self._updates.items()}
+        for points, fields in new.items():
+            increment = fields["x"]
+            fields["u"] = points["u"] + increment
+            fields["x"] = points.x + increment
+        return new
 
     def convect(self, new: Mapping[MaterialPoints, Mapping[str, npt.NDArray[np.float64]]]) -> int:
         """Assign new fields, move all points, and take the new volumes as weights.
 
         Returns:
-            How many points left the mesh and were deleted or held back.
+            How many points left the mesh and were deleted, or held back for the first time.
 
         Raises:
             NewtonError: points are turned inside out; nothing was assigned.
         """
         least = min(float(np.min(new[body]["J"], initial=1.0)) for body in self.bodies)
-        least = self.U.function_space.mesh.comm.allreduce(least, MPI.MIN)
+        least = self.unknown.mesh.comm.allreduce(least, MPI.MIN)
         if not least > 0:
             raise NewtonError("inverted", f"J = {least:g} at a point after the step", [])
         removed = 0
         for points, fields in new.items():
-            increment = fields["u"] - points["u"]
-            points.assign(fields)
-            removed += move(points, points.x + increment, self.on_exit)
+            points.assign({name: array for name, array in fields.items() if name != "x"})
+            removed += self.exits.move(points, fields["x"])
         for body in self.bodies:
             body.assign({"weight": body["V_0"] * body["J"]})
-            if self.adapt is not None:
-                self.adapt(body)
         return removed
 
     # --- steps -------------------------------------------------------------------------------
@@ -225,20 +262,23 @@ class ImplicitMPM:
         """
         dt = self.next_dt if dt is None else dt
         check_time_step(dt)
+        require_points(self.bodies)
         before, old_dt = self._snapshot(), float(self.scheme.dt.value)
         clock = self.seconds
         try:
             self.scheme.dt.value = dt
             if self.number == 0:
                 self._start()
-            if self.data is not None:
-                self.data(self.time, self.time + self.scheme.share * dt)
+            self._set_data(self.scheme.share * dt)
             self.scheme.begin()
+            self._observers.call("begin", self)
             with clock("map"):
                 self.map_to_grid()
+            self._observers.call("mapped", self)
             with clock("predict"):
                 self.predict()
             result = self.solve()
+            self._observers.call("solved", self)
             with clock("map"):
                 new = self.map_to_points()
             with clock("convect"):
@@ -252,7 +292,10 @@ class ImplicitMPM:
         self.scheme.end()
         self.time += dt
         self.number += 1
-        return Step(self.number, self.time, dt, result, removed=removed)
+        step = Step(self.number, self.time, dt, result, removed=removed)
+        with clock("observers"):
+            self._observers.done(self, step)
+        return step
 
     def run(
         self,
@@ -260,6 +303,7 @@ class ImplicitMPM:
         *,
         step_length: Callable[[], float] | None = None,
         smallest: float = 1e-3,
+        largest: float | None = None,
     ) -> Iterator[Step]:
         """Steps until a time; one that cannot be solved is tried again with half its length.
 
@@ -270,6 +314,8 @@ class ImplicitMPM:
             step_length: gives the greatest length of each step [s] instead, such as
                 ``solvers.CourantStep`` (collective).
             smallest: share of the greatest length below which there is no use in trying.
+            largest: length up to which steps grow where Newton's method has an easy task, for load
+                steps [s]; None for the length at first.
 
         Yields:
             Each step that was done.
@@ -291,16 +337,21 @@ class ImplicitMPM:
             left = until - self.time
             # what is left is not to become a last step of nearly no length
             dt = left if left < 1.001 * self.next_dt else self.next_dt
+            number = self.number
             try:
                 step = self.step(dt)
             except NewtonError as error:
-                if dt / 2 < smallest * self._dt:
+                hopeless = error.reason == "load without material" or self.number > number
+                if hopeless or dt / 2 < smallest * self._dt:
                     raise
                 self.next_dt, attempts = dt / 2, attempts + 1
                 why = str(error).partition(";")[0]
                 logger.warning("step %d halved to %g s: %s", self.number + 1, self.next_dt, why)
                 continue
             step.attempts, attempts = attempts, 1
+            easy = step.newton is not None and step.newton.iterations <= _EASY
+            if largest is not None and step.attempts == 1 and easy:
+                self._dt = min(1.5 * self._dt, largest)
             self.next_dt = min(2 * self.next_dt, self._dt)
             yield step
 
@@ -308,9 +359,19 @@ class ImplicitMPM:
         """Nothing: all points are up to date after each step."""
 
     @property
+    def linear(self) -> LinearSolver:
+        """What solves the linear systems: by which method, in how many iterations and seconds."""
+        return self.newton.linear
+
+    @property
     def method(self) -> str:
         """Name of the time scheme, for checkpoints."""
         return type(self.scheme).__name__
+
+    @property
+    def parameters(self) -> dict[str, str]:
+        """What the script has chosen, for checkpoints."""
+        return {"residual": self._described, **of_points([*self.bodies, *self.carried])}
 
     @property
     def memory(self) -> dict[str, float]:
@@ -326,14 +387,23 @@ class ImplicitMPM:
         self.scheme.memory = rest
 
     def _snapshot(self) -> Any:
-        return [
+        sets = [
             (points, points.snapshot(copy=False), points.size_global) for points in self._updates
         ]
+        return sets, dict(self.exits.held)
 
     def _restore(self, snapshot: Any) -> None:
         """Without communication: an error on one rank only must get out of here."""
-        for points, arrays, size_global in snapshot:
+        sets, self.exits.held = snapshot
+        for points, arrays, size_global in sets:
             points.restore(arrays, size_global)
+
+    def _set_data(self, length: float) -> None:
+        """Set boundary values, and what the user sets, for a motion of some length [s]."""
+        self.unknown.require_conditions(self._fixed)
+        self.unknown.set_conditions(self.time, self.time + length)
+        if self.data is not None:
+            self.data(self.time, self.time + length)
 
     def _start(self) -> None:
         """Find accelerations at the start by a step in which they are constant; nothing moves.
@@ -345,8 +415,7 @@ class ImplicitMPM:
         scheme = self.scheme
         if not hasattr(scheme, "start_up"):
             return
-        if self.data is not None:
-            self.data(self.time, self.time + float(scheme.dt.value))
+        self._set_data(float(scheme.dt.value))
         scheme.start_up(True)
         try:
             self.map_to_grid()
@@ -358,22 +427,27 @@ class ImplicitMPM:
         finally:
             scheme.start_up(False)
 
-    def _new_fields(
-        self, points: MaterialPoints, updates: Mapping[MaterialPoints, Mapping[str, Any]]
-    ) -> dict[str, Any]:
+    def _new_fields(self, points: MaterialPoints) -> dict[str, Any]:
+        """What a body or carried points get at the end of a step, whatever the residual."""
         increment = self.scheme.increment
-        fields = {"u": points.field("u") + increment}
+        fields = {"x": increment}  # of which positions and displacements are sums
         if points in self.bodies:
-            others = zip(_PARTS[1:], parts(self.U)[1:], strict=False)
             k = Kinematics(increment, points)
-            fields |= {"F": k.F, "J": k.J, **dict(others)}
+            fields |= {"F": k.F, "J": k.J}
+            for part in self._histories:
+                change = self.scheme.change(part.name)
+                new = getattr(self.unknown.old, part.name) + change
+                if part.flip > 0:
+                    new = part.flip * (points.field(part.name) + change) + (1 - part.flip) * new
+                fields[part.name] = new
             fields |= self.scheme.updates(points)
-            fields["grad_v"] = k.grad(self.scheme.grid_velocity())
-        return fields | dict(updates.get(points, {}))
+            if self.taylor:
+                fields["grad_v"] = k.grad(self.scheme.grid_velocity())
+        return fields
 
     def __repr__(self) -> str:
         """Unknowns, points and scheme."""
-        dofs = self.U.function_space.dofmap
+        dofs = self.unknown.space.dofmap
         n = dofs.index_map.size_global * dofs.index_map_bs
         bodies = ", ".join(f"{body.size_global} points" for body in self.bodies)
         carried = sum(points.size_global for points in self.carried)
@@ -381,3 +455,38 @@ class ImplicitMPM:
             f"ImplicitMPM: {n} unknowns on the background mesh, {bodies}, {carried} carried "
             f"points\n  {self.scheme}\n  step {self.number}, t = {self.time:g} s"
         )
+
+
+def _check_times(renewed: Mapping[MaterialPoints, Mapping[str, Any]], scheme: TimeScheme) -> None:
+    """Raise ValueError for a state of the end of a step where equations hold before."""
+    # a fluid renews F itself, at the end of the step; normals of carried points have no stress
+    if scheme.share != 1 and any(
+        fields and "F" in points and "F" not in fields for points, fields in renewed.items()
+    ):
+        raise ValueError(
+            "a stress with a state or of two configurations is found where equations hold, and its "
+            "state belongs to the end of the step: GeneralizedAlpha cannot be used with it"
+        )
+
+
+def _check_conditions(unknown: Unknown) -> None:
+    """Raise ValueError for displacements that each step would add again (collective)."""
+    for condition in unknown.conditions:
+        if condition.moves_again():
+            raise ValueError(
+                f"a displacement of the boundary by part {condition.part!r} that does not depend "
+                "on time would be added again in each step: give it as a function of time, such as "
+                'fix("u", where, lambda t: (0.1 * t, 0)), whose increments the loop takes'
+            )
+
+
+def _add_history(body: MaterialPoints, part: Part, dim: int) -> None:
+    """Give a body the field of a part of the unknown, if it may be added."""
+    if part.name in body:
+        return
+    if part.initial is None:
+        raise ValueError(
+            f"a body without the field {part.name!r}, of which the unknown's part has its history: "
+            f"body.add_field({part.name!r}, shape, values), or give the Part an initial value"
+        )
+    body.add_field(part.name, (dim,) if part.is_vector else (), part.initial)

@@ -15,7 +15,7 @@ from fenicsmpm.basis.windows import MARGIN
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.transfer.carriers import carriers
 from fenicsmpm.transfer.grid_rows import COLUMNS
-from fenicsmpm.transfer.tiles import Integers, Nodes, around, limits
+from fenicsmpm.transfer.tiles import Integers, Nodes, around, limits, reaches, sort_keys
 
 Array = npt.NDArray[np.float64]
 
@@ -49,10 +49,16 @@ class Carried:
         return self.points.version != self._version
 
     def find(self, nodes: Nodes) -> tuple[Integers, Integers]:
-        """First and last nodes ``(n, 3)`` that points may see until tiles are laid anew."""
+        """First and last nodes ``(n_tiles, 3)`` that points of each tile may see.
+
+        They may until tiles are laid anew.
+        """
         width, dim = WIDTH[self._kind], self.points.mesh.geometry.dim
-        low, high = around(self.positions, nodes, width, MARGIN[dim])
+        x, margin = self.positions, MARGIN[dim]
+        low, high = around(x, nodes, width, margin)
         self._t_low, self._t_high = limits(low, high, nodes, self._kind)
+        keys, occupied = sort_keys(x, nodes, width)
+        low, high = reaches(keys, nodes, occupied, width, margin)
         return low, high + width - 1
 
     @property

@@ -15,19 +15,18 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from fenicsmpm import _compat
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.simulation.lattice_carried import Carried
 from fenicsmpm.simulation.lattice_parts import Part
+from fenicsmpm.simulation.lattice_supports import Supports
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.unstable import force_without_material
-from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS
-from fenicsmpm.transfer.sharing import DofLink, NodeNumbers, Sharing, Sums, copy_rows
+from fenicsmpm.transfer.sharing import DofLink, NodeNumbers, Sharing, Sums
 from fenicsmpm.transfer.tiles import Nodes, lay, nodes_of
 
 Array = npt.NDArray[np.float64]
@@ -93,7 +92,7 @@ class LatticeEngine:
             laws: of the bodies, of the kinds that they had, with other parameters if wanted.
             bcs: Dirichlet conditions on velocities.
         """
-        self._supports = Supports(self._V, bcs)
+        self._supports = Supports(self._V, bcs, self._numbers)
         for load in self.carried:
             load.begin()
         for part in self.parts:
@@ -118,16 +117,16 @@ class LatticeEngine:
         layouts = [part.settle_down(layout, sharing, several) for part in self.parts]
         self._places = [np.searchsorted(layout.ids, own.ids) for own in layouts]
         self._free()
-        self._sums = Sums(sharing, nodes.per_tile * grid.COLUMNS)
+        self._sums = Sums(sharing, grid.COLUMNS)
         self.rows = (
             grid.tile_rows(len(layout.ids), nodes.per_tile) if several else self.parts[0].rows
         )
         self._bounds = np.zeros((len(layout.ids), 2))
         self._forces = np.zeros((len(layout.ids) if self.carried else 0, nodes.per_tile, 3))
         if self.carried:
-            self._sum_forces = Sums(sharing, nodes.per_tile * 3)
+            self._sum_forces = Sums(sharing, 3)
         self._all_dofs = None
-        self._supports.find(sharing, nodes, self._numbers)
+        self._supports.find(sharing, nodes)
         for part in self.parts:
             part.scatter()
         self._strays = False
@@ -175,6 +174,10 @@ class LatticeEngine:
     def read_supports(self) -> None:
         """Take the present values of Dirichlet conditions (collective)."""
         self._supports.read()
+
+    def support_forces(self) -> Callable[[], tuple[npt.NDArray[np.int32], Array]]:
+        """What finds the forces of Dirichlet conditions in this step (collective, when called)."""
+        return self._supports.forces_at_dofs()
 
     def push(self, box: RigidBox, velocity: Array, dt: float) -> list[str]:
         """Contact forces of a rigid box to the nodes, and their sum to the box, on this rank.
@@ -259,7 +262,7 @@ class LatticeEngine:
     def _without_material(self, at_nodes: Array) -> list[str]:
         """What is wrong with forces ``(n, d)`` at owned nodes, and with those in tiles."""
         outside = (at_nodes != 0).any(axis=1)
-        outside[self._dofs] = False
+        outside[self._dofs[self._dof_link().asked]] = False
         idle = (self.rows[:, :, grid.MASS] == 0) & (self._forces != 0).any(axis=2)
         if not outside.any() and not idle.any():
             return []
@@ -290,10 +293,11 @@ class LatticeEngine:
             The part of the reactions ``(3,)`` [N] that this rank counts.
         """
         rows, fixed = self.rows, self._supports.now
-        reaction = grid.reactions(rows, dt, *fixed, self._sharing.counted)
+        forces = grid.reactions(rows, dt, *fixed, self._sharing.counted)
+        self._supports.forces = forces
         grid.update_nodes(rows, self._bounds, dt, damping)
         grid.constrain(rows, *fixed)
-        return np.asarray(reaction)
+        return np.bincount(fixed[1], forces, minlength=3).astype(np.float64)
 
     def move_loads(self, dt: float) -> list[str]:
         """Loads go with the nodes.
@@ -402,8 +406,7 @@ class LatticeEngine:
         link, dofs, values = self._dof_link(), self._dofs, self._column(name).copy()
 
         def write(function: fem.Function) -> None:
-            nodal = function.x.array.reshape(-1, values.shape[1])
-            nodal[dofs] = link.collect(values[link.places])
+            link.collect(values, dofs, function.x.array.reshape(-1, values.shape[1]))
             function.x.scatter_forward()
 
         return write
@@ -427,55 +430,16 @@ class LatticeEngine:
         if written is not self._dofs:
             nodal[slice(None) if written is None else written] = 0.0
             self._written[id(function)] = self._dofs
-        if self._comm.size == 1:
-            copy_rows(values, link.places, self._dofs, link.index, nodal)
-            return
-        nodal[self._dofs] = link.collect(values[link.places])
+        link.collect(values, self._dofs, nodal)
         function.x.scatter_forward()
 
     def _dof_link(self) -> DofLink:
         """From the owned nodes ``_dofs`` in tiles of any rank to these."""
         if self._all_dofs is None:
             tiles = np.unique(np.concatenate(self._comm.allgather(self._layout.ids)))
-            self._dofs = self._numbers.owned_in(tiles, self.nodes)
-            positions = self._numbers.positions(self._dofs)
+            self._dofs, positions = self._numbers.owned_in(tiles, self.nodes)
             self._all_dofs = DofLink(self._sharing, self.nodes, positions)
         return self._all_dofs
-
-
-class Supports:
-    """Dirichlet conditions on velocities, at the nodes of all ranks that have them.
-
-    Args:
-        V: space of velocities, linear, with a block of d components a node.
-        bcs: conditions on V or its components.
-
-    Attributes:
-        now: rows of the nodes, components and their values [m/s], each ``(n,)``.
-    """
-
-    def __init__(self, V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> None:
-        """Check the conditions (collective)."""
-        check_bcs(bcs, V)
-        self._V, self._bcs, self._value = V, list(bcs), fem.Function(V)
-        dim, owned = V.mesh.geometry.dim, V.dofmap.index_map.size_local
-        dofs = _compat.fixed_dofs(bcs)
-        # values at ghosts may differ from their owners' by round-off
-        self._dofs = dofs[dofs < owned * dim]
-
-    def find(self, sharing: Sharing, nodes: Nodes, numbers: NodeNumbers) -> None:
-        """Find the rows of the nodes, and read the values (collective)."""
-        dim = self._V.mesh.geometry.dim
-        self._link = DofLink(sharing, nodes, numbers.positions(self._dofs // dim))
-        self._components = self._link.spread((self._dofs % dim).astype(np.int64))
-        self.read()
-
-    def read(self) -> None:
-        """Take the present values (collective)."""
-        for bc in self._bcs:
-            _compat.bc_set(bc, self._value.x.array, None, 1.0)
-        values = self._link.spread(self._value.x.array[self._dofs])
-        self.now = self._link.places, self._components, values
 
 
 def _describe(loads: list[Carried], bad: list[int], what: str) -> list[str]:

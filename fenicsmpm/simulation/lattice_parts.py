@@ -19,6 +19,7 @@ from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.location import locator
 from fenicsmpm.simulation.lattice_carried import flat, half_size
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.transfer import grid_rows as grid
@@ -38,6 +39,7 @@ from fenicsmpm.transfer.tiles import (
     limits,
     reaches,
     sort_keys,
+    stays_home,
     targets,
 )
 from fenicsmpm.transfer.wall_averages import WallsOfBody, continue_to_walls
@@ -160,6 +162,7 @@ class Part:
             first=np.zeros((len(units), 3), np.int64),
             last=np.zeros((len(units), 3), np.int64),
         )
+        self._border: Integers | None = None
         self._ids, self._n_tiles = layout.ids, len(layout.ids)
         everywhere = self._n_tiles + len(self._copies)
         self._all_rows = grid.tile_rows(everywhere, nodes.per_tile)
@@ -173,8 +176,8 @@ class Part:
             self._walls = self._walls_of.in_tiles(layout.ids, nodes)
         if self._fbar is not None:
             # of one body, they are summed up with the other columns
-            self._sum_volumes = Sums(sharing, nodes.per_tile) if own else None
-            self._sum_averages = Sums(sharing, nodes.per_tile)
+            self._sum_volumes = Sums(sharing, 1) if own else None
+            self._sum_averages = Sums(sharing, 1)
         return layout
 
     def drop(self) -> None:
@@ -336,9 +339,16 @@ class Part:
         self._body = body._replace(x=body.x_next, x_next=body.x)
 
     @property
-    def positions(self) -> Array:
-        """Where the points are, ``(n, d)`` [m]."""
-        return self.provide("x")["x"]
+    def near_border(self) -> Array:
+        """Where points are that may be in cells of other ranks, ``(n, d)`` [m], some repeatedly.
+
+        The others can not have come so far in the windows of their units.
+        """
+        if self._border is None:
+            home = stays_home(self._units, self._nodes, locator(self.points.mesh).geometry)
+            self._border = np.flatnonzero(np.repeat(~home, np.diff(self._blocks)))
+        x = self._working.x.reshape(-1, self._dim, LANES)[self._border]
+        return x.transpose(0, 2, 1).reshape(-1, self._dim)
 
     def bad_stress(self) -> int:
         """A block with a stress that is not finite after the last step; or -1."""
@@ -359,10 +369,13 @@ class Part:
         if name == "x":
             return {"x": out_of_blocks(body.x, order, n, (d,))}
         if name == "u":
-            x = out_of_blocks(body.x, order, n, (d,))
-            if self._reference is None:
-                return {"u": self.points["u"] + (x - self.points.x)}
-            return {"u": x - self._reference}
+            u = out_of_blocks(body.x, order, n, (d,))
+            if self._reference is not None:
+                u -= self._reference
+            else:
+                u -= self.points.x
+                u += self.points["u"]
+            return {"u": u}
         if name == "v":
             return {"v": out_of_blocks(body.v, order, n, (d,))}
         if name == "J_bar":
@@ -417,25 +430,31 @@ class Part:
         self.rows, self._sums = self._all_rows, self._all_sums
 
     def _give_back(self) -> None:
-        points, written = self.points, self.points.changed
-        # one after the other, each working array gone before the next: this is where memory peaks
+        points, none = self.points, np.empty((0, LANES))
+        new = [name for name in self.changing if name not in points.changed]
+        # This is where memory peaks: what the points had goes first, and then each working array
+        # before the next one is read. Displacements count from the positions that the points had.
+        self._body = self._working._replace(x_next=none)
+        if "u" in new:
+            points.assign(self.provide("u"))
+        x = self.provide("x")["x"]
+        self._body = self._working._replace(x=none)
+        points.defer([name for name in new if name not in ("x", "u")], self.provide)
         working = {
-            "v": "v", "sigma": "", "J_bar": "J_bar", **dict.fromkeys(self._law.state, "state"),
-            "F": "F", "u": "x_next", "x": "x",
+            "F": "F", "sigma": "", "v": "v", **dict.fromkeys(self._law.state, "state"),
+            "J_bar": "J_bar",
         }  # fmt: skip
         done: set[str] = set()
-        x = points.x
         for name, rows in working.items():
             if name in done or name not in self.changing:
                 continue
             arrays = self.provide(name)
             done |= set(arrays)
-            x = arrays.pop("x", x)
-            points.assign({k: a for k, a in arrays.items() if k not in written})
+            points.assign({k: a for k, a in arrays.items() if k in new})
             if rows:
-                self._body = self._working._replace(**{rows: np.empty((0, LANES))})
+                self._body = self._working._replace(**{rows: none})
             else:
-                self._sigma = np.empty((0, LANES))
+                self._sigma = none
         points.move(x)
 
     def describe(self, block: int) -> str:

@@ -129,8 +129,8 @@ def _test_function(R: Any, velocity: fem.Function) -> ufl.Argument:
     space = arguments[0].ufl_function_space()
     if space != velocity.function_space:
         raise ValueError(
-            "the residual is tested on another function space than that of the velocity: use "
-            "ufl.TestFunction(velocity.function_space)"
+            "the residual is tested on another function space than that of the velocity: use the "
+            "unknown's test function, unknown.test.v"
         )
     return arguments[0]
 

@@ -18,7 +18,7 @@ class Step:
         dt: its length [s].
         newton: how its equations were solved; None for explicit steps, which solve none.
         attempts: 1 plus the number of times that the step was halved.
-        removed: points that left the mesh and were deleted or held back.
+        removed: points that left the mesh and were deleted, or held back for the first time.
     """
 
     number: int

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from dolfinx import fem
 
@@ -47,6 +46,12 @@ def require_fields(body: MaterialPoints) -> None:
         )
 
 
+def require_points(bodies: Sequence[MaterialPoints]) -> None:
+    """Raise ValueError, on all ranks, if no body has any points."""
+    if sum(body.size_global for body in bodies) == 0:
+        raise ValueError("all bodies are empty: there are no points to be moved")
+
+
 def warn_of_points_that_stay(R: Form, moving: Sequence[MaterialPoints]) -> None:
     """Log a warning for integrals over points that do not move."""
     for integral in R.point_integrals:
@@ -55,49 +60,3 @@ def warn_of_points_that_stay(R: Form, moving: Sequence[MaterialPoints]) -> None:
                 "%d points of an integral are neither bodies nor carried: they stay where they "
                 "are", integral.points.size_global,
             )  # fmt: skip
-
-
-def check_updates(
-    R: Form,
-    bodies: Sequence[MaterialPoints],
-    moving: Sequence[MaterialPoints],
-    updates: Mapping[MaterialPoints, Mapping[str, Any]],
-    share: float,
-) -> None:
-    """Raise ValueError for updates that cannot be made, are missing, or are of another time.
-
-    Args:
-        R: residual.
-        bodies: of the simulation.
-        moving: these, and what is carried along.
-        updates: new fields at the end of a step.
-        share: of the step, at whose end equations hold.
-    """
-    for points, fields in updates.items():
-        unknown = sorted(name for name in fields if name not in points)
-        if points not in moving or unknown:
-            raise ValueError(
-                f"updates of the fields {unknown} that the points do not have"
-                if unknown
-                else "updates of points that are neither bodies nor carried: they do not move"
-            )
-    used = [
-        (integral.points, source.item)
-        for integral in R.point_integrals
-        for source in integral.lowered.inputs
-    ]
-    used += [(body, body.field(name)) for body in bodies for name in body.field_names]
-    for points, field in used:
-        history = set(getattr(field, "history", ())) if points in bodies else set()
-        # a fluid renews F itself, at the end of the step
-        if share != 1 and history and "F" not in history:
-            raise ValueError(
-                "a stress with a state or of two configurations is found where equations hold, and "
-                "its state belongs to the end of the step: GeneralizedAlpha cannot be used with it"
-            )
-        missing = sorted(history - set(updates.get(points, ())))
-        if missing:
-            raise ValueError(
-                f"a material needs the fields {', '.join(missing)}, which no update renews: "
-                "pass updates={body: stress.updates}, or of a fluid {body: law.updates(body)}"
-            )

@@ -17,6 +17,7 @@ from fenicsmpm.materials import Law
 from fenicsmpm.materials.law import positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.geometry import cell_geometry
+from fenicsmpm.solvers.checks import require_points
 from fenicsmpm.transfer import p2g
 
 
@@ -39,7 +40,7 @@ class CourantStep:
 
     Raises:
         ValueError: for no bodies, a factor or moduli that are not positive, or bounds that exclude
-            each other; when called, if there are no points with a mass.
+            each other; when called, if there are no points, or none with a mass.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class CourantStep:
 
     def __call__(self) -> float:
         """Length of the step that begins with the points as they are [s] (collective)."""
+        require_points(list(self._moduli))
         sums = np.zeros(0)
         for body, modulus in self._moduli.items():
             # V_I cancels: V_I M_I is the sum of the points' V_p M_p
@@ -89,7 +91,7 @@ class CourantStep:
         slowness = float(np.sqrt(np.min(mass / stiffness, initial=np.inf)))
         slowness = self._space.mesh.comm.allreduce(slowness, MPI.MIN)
         if not 0 < slowness < math.inf:
-            raise ValueError(f"Courant's step of points without mass, or none: {slowness:g} s/m")
+            raise ValueError(f"Courant's step of points without mass: {slowness:g} s/m")
         dt = self.factor * self._h * slowness
         dt = min(max(dt, self.smallest), self.largest)
         self.history.append(dt)

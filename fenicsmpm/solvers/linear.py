@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Linear systems by PETSc: MUMPS unless the options say otherwise."""
+"""Linear systems by PETSc: directly where that is cheap, by a Krylov method where it is not."""
 
 from __future__ import annotations
 
+import ctypes
 import itertools
+import logging
+import time
 from typing import Any
 
 from petsc4py import PETSc
@@ -11,6 +14,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from fenicsmpm._garbage import collect_garbage, lasting
+
+logger = logging.getLogger(__name__)
 
 # percent by which MUMPS' workspace exceeds its estimate, which pivoting makes too small
 _WORKSPACE = "mat_mumps_icntl_14"
@@ -23,6 +28,22 @@ DIRECT = {
     # the few factorizations that follow; AMF, a little faster, does not repeat runs on 3 ranks
     "mat_mumps_icntl_7": 0,
 }
+# Residuals are true ones (right side), in units in which those of all parts compare (scale)
+KRYLOV = {
+    "ksp_type": "gmres",
+    "ksp_pc_side": "right",
+    "ksp_gmres_restart": 100,
+    "ksp_diagonal_scale": None,
+    "ksp_diagonal_scale_fix": None,
+    "ksp_max_it": 300,
+    "pc_type": "bjacobi",
+    "sub_pc_type": "ilu",
+}
+# Unknowns with material from which factors in space cost more than iterations; in the plane they
+# do not before there are millions
+_MANY = 15_000
+# Without a tolerance given, and the best that single systems are solved to
+TIGHT = 1e-12
 _numbers = itertools.count()
 
 
@@ -31,50 +52,121 @@ class LinearSolverError(RuntimeError):
 
 
 class LinearSolver:
-    """A Krylov or direct solver for systems with one matrix after the other.
+    """Solves systems with one matrix after the other.
+
+    By default MUMPS factorizes, but for large systems in three dimensions, which GMRES with
+    incomplete factors, ILU(0) of each rank's part, solves. Where that does not converge in 300
+    iterations, MUMPS does it.
 
     Args:
         comm: MPI communicator.
-        petsc_options: PETSc options, on top of a direct solution by MUMPS.
+        petsc_options: PETSc options. Those with a "pc_type" other than "lu" stand alone; otherwise
+            they change those of MUMPS, which then solves all systems. None for the choice above.
         prefix: prefix of the options in PETSc's database, by which options of the command line
             reach the solver; None for one of its own.
+        dim: dimension of the mesh.
 
     Attributes:
-        ksp: the PETSc object.
+        ksp: the PETSc object of the options, or of MUMPS.
+        method: by which the last system was solved.
+        iterations: of the last system; 0 if MUMPS solved it.
+        systems: solved so far.
+        total_iterations: of all systems so far.
+        direct_after_all: systems so far that MUMPS solved where GMRES did not converge.
+        seconds: spent so far [s].
+
+    Raises:
+        ValueError: for options that PETSc refuses, such as preconditioners that its build lacks.
     """
 
     def __init__(
-        self, comm: Any, petsc_options: dict[str, Any] | None = None, prefix: str | None = None
+        self,
+        comm: Any,
+        petsc_options: dict[str, Any] | None = None,
+        prefix: str | None = None,
+        *,
+        dim: int = 2,
     ) -> None:
         """Create the solver and hand over its options (collective)."""
         collect_garbage(comm)  # of earlier solvers, or MPI runs out of communicators
-        # MUMPS reads its options as late as in the factorization: they stay in the database, so
-        # each solver needs a prefix of its own
-        prefix = f"fenicsmpm_{next(_numbers)}_" if prefix is None else prefix
-        self._options = PETSc.Options(prefix)
-        for key, value in (DIRECT | (petsc_options or {})).items():
-            if not self._options.hasName(key):
-                self._options[key] = value
-            if key in DIRECT:
-                self._options.getString(key)  # "used", so PETSc does not list it at the end
-        self.ksp = PETSc.KSP().create(lasting(comm))
-        self.ksp.setOptionsPrefix(prefix)
-        self.ksp.setFromOptions()
+        given = petsc_options or {}
+        options = DIRECT | given if given.get("pc_type", "lu") == "lu" else given
+        self._comm, self._given = comm, list(given)
+        self.ksp, self._options = _create(comm, options, prefix)
+        self._krylov: PETSc.KSP | None = None
+        self._is_automatic = dim == 3 and not given
+        self._scale: PETSc.Vec | None = None
+        self.method, self.iterations, self.systems = "", 0, 0
+        self.total_iterations, self.direct_after_all, self.seconds = 0, 0, 0.0
 
-    def solve(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> int:
+    def solve(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float = TIGHT) -> int:
         """Solve A x = b (collective).
 
         Args:
             A: assembled matrix.
             b: right-hand side.
             x: solution, overwritten.
+            rtol: tolerance of the residual relative to b, for iterations that were chosen here;
+                PETSc options have their own.
 
         Returns:
             Number of Krylov iterations.
 
         Raises:
             LinearSolverError: names PETSc's reason; a singular matrix is the usual one.
+            ValueError: for options that PETSc did not use, at the first system.
         """
+        begin = time.perf_counter()
+        try:
+            self._solve(A, b, x, rtol)
+        finally:
+            self.seconds += time.perf_counter() - begin
+        self.systems += 1
+        self.total_iterations += self.iterations
+        if self._given:
+            self._require_used()
+        return self.iterations
+
+    def iterates(self, A: PETSc.Mat) -> bool:
+        """Whether GMRES is tried for a matrix first (collective).
+
+        Args:
+            A: assembled matrix.
+        """
+        return self._is_automatic and _is_large(A)
+
+    def scaled_norm(self, b: PETSc.Vec) -> float | None:
+        """Norm of a residual as GMRES sees it; None if MUMPS solved the system (collective).
+
+        Args:
+            b: residual.
+        """
+        if self._scale is None:
+            return None
+        scaled = b.duplicate()
+        scaled.pointwiseMult(b, self._scale)
+        norm = float(scaled.norm())
+        scaled.destroy()
+        return norm
+
+    def __repr__(self) -> str:
+        """What it has done."""
+        if not self.systems:
+            return "LinearSolver(no system yet)"
+        failed = f", {self.direct_after_all} of them without success" * (self.direct_after_all > 0)
+        return (
+            f"LinearSolver({self.method}, {self.systems} systems, {self.total_iterations} "
+            f"iterations{failed}, {self.seconds:.3g} s)"
+        )
+
+    def _solve(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> None:
+        if self._scale is not None:
+            self._scale.destroy()
+            self._scale = None
+        if self.iterates(A):
+            if self._iterate(A, b, x, rtol):
+                return
+            self.direct_after_all += 1
         reason = self._try(A, b, x)
         while reason < 0 and self._mumps_wants_memory():
             workspace = 2 * self._options.getInt(_WORKSPACE)
@@ -82,25 +174,76 @@ class LinearSolver:
                 break
             self._options[_WORKSPACE] = workspace
             reason = self._try(A, b, x)
+        pc = self.ksp.getPC()
+        is_direct = self.ksp.getType() == "preonly"
+        self.method = f"{self.ksp.getType()} + {pc.getType()}"
+        if pc.getType() in ("lu", "cholesky"):
+            self.method = str(pc.getFactorSolverType())
+        self.iterations = 0 if is_direct else self.ksp.getIterationNumber()
         if reason >= 0 and not np.isfinite(x.norm()):
             raise LinearSolverError(
                 "the solution is not finite: the matrix or the right-hand side has NaN or infinite "
                 "entries, or the matrix is singular"
             )
         if reason < 0:
+            described = f"{_reason(reason)}, {self.ksp.getType()} + {pc.getType()}"
+            if reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
+                raise LinearSolverError(
+                    f"the linear solver failed ({described}): {self.iterations} iterations did not "
+                    "suffice; give it more (ksp_max_it), another preconditioner, or leave the "
+                    "choice to the package (no petsc_options)"
+                )
             raise LinearSolverError(
-                f"the linear solver failed ({_reason(reason)}, "
-                f"{self.ksp.getType()} + {self.ksp.getPC().getType()}): the matrix may be "
-                "singular; check the Dirichlet conditions, and that equal-order pressure is "
-                "stabilized"
+                f"the linear solver failed ({described}): the matrix may be singular; check the "
+                "Dirichlet conditions, and that equal-order pressure is stabilized"
             )
-        return self.ksp.getIterationNumber()
+
+    def _iterate(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> bool:
+        """Whether GMRES has solved the system."""
+        if self._krylov is None:
+            self._krylov, _ = _create(self._comm, KRYLOV, None)
+        ksp = self._krylov
+        self._scale = A.getDiagonal()
+        diagonal = np.abs(self._scale.array_r)
+        self._scale.array_w[:] = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        ksp.setTolerances(rtol=rtol)
+        if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
+            ksp.reset()
+        ksp.setOperators(A)
+        ksp.solve(b, x)
+        reason, self.iterations = ksp.getConvergedReason(), ksp.getIterationNumber()
+        self.method = "GMRES + ILU(0)"
+        if reason > 0 and np.isfinite(x.norm()):
+            logger.info("GMRES: %d iterations for a reduction of %.0e", self.iterations, rtol)
+            return True
+        logger.info(
+            "GMRES has failed after %d iterations (%s): MUMPS solves this system",
+            self.iterations,
+            _reason(reason),
+        )
+        self._scale.destroy()
+        self._scale = None
+        return False
+
+    def _require_used(self) -> None:
+        """Raise ValueError for options that PETSc has not asked for."""
+        prefix = self.ksp.getOptionsPrefix()
+        unused = [key for key in self._given if not _is_used(prefix + key)]
+        self._given = []
+        if unused:
+            raise ValueError(
+                f"PETSc did not use the option{'s' * (len(unused) > 1)} {', '.join(unused)}: a "
+                "slip of the pen, or of another solver than the one chosen"
+            )
 
     def _try(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> int:
         if self.ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
             self.ksp.reset()  # PETSc would report the failed set-up again
         self.ksp.setOperators(A)
-        self.ksp.solve(b, x)
+        try:
+            self.ksp.solve(b, x)
+        except PETSc.Error as error:
+            raise LinearSolverError(f"PETSc: {_last_line(error)}") from error
         return self.ksp.getConvergedReason()
 
     def _mumps_wants_memory(self) -> bool:
@@ -109,6 +252,52 @@ class LinearSolver:
         if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
             return False
         return pc.getFactorMatrix().getMumpsInfog(1) in (-8, -9)
+
+
+def _create(
+    comm: Any, options: dict[str, Any], prefix: str | None
+) -> tuple[PETSc.KSP, PETSc.Options]:
+    """A solver with these options, unless the command line has others."""
+    # MUMPS reads its options as late as in the factorization: they stay in the database, so each
+    # solver needs a prefix of its own
+    prefix = f"fenicsmpm_{next(_numbers)}_" if prefix is None else prefix
+    database = PETSc.Options(prefix)
+    for key, value in options.items():
+        if not database.hasName(key):
+            database[key] = value
+        if DIRECT.get(key) == value or KRYLOV.get(key) == value:
+            database.getString(key, "")  # "used", so PETSc does not list it at the end
+    ksp = PETSc.KSP().create(lasting(comm))
+    ksp.setOptionsPrefix(prefix)
+    try:
+        ksp.setFromOptions()
+    except PETSc.Error as error:
+        ksp.destroy()
+        shown = ", ".join(f"{key} = {value}" for key, value in options.items())
+        raise ValueError(f"PETSc refuses the options {shown}: {_last_line(error)}") from error
+    return ksp, database
+
+
+def _is_large(A: PETSc.Mat) -> bool:
+    """Whether many rows have more than the diagonal (collective)."""
+    n = A.getSize()[0]
+    if n < _MANY:
+        return False
+    entries = A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+    # rows of the identity have one entry, those of displacements on tetrahedra about 45
+    return bool((entries - n) / 45 > _MANY)
+
+
+def _is_used(name: str) -> bool:
+    """Whether PETSc has asked for an option; petsc4py does not tell."""
+    used = ctypes.c_int(0)
+    ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
+    return used.value != 0
+
+
+def _last_line(error: PETSc.Error) -> str:
+    """What PETSc says of an error, without the way to it."""
+    return str(error).strip().splitlines()[-1].strip()
 
 
 def _reason(number: int) -> str:

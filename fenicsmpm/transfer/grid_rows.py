@@ -213,7 +213,7 @@ def to_velocities(rows):
 
 @njit
 def reactions(rows, dt, places, components, values, counted):
-    """Sum of the forces that prescribed velocities will need, ``(3,)`` [N], before the update.
+    """Forces that prescribed velocities will need, ``(n,)`` [N], before the update.
 
     Supported nodes are not damped: the reaction to a body at rest is its weight.
 
@@ -223,15 +223,15 @@ def reactions(rows, dt, places, components, values, counted):
         places: ``(n,)`` rows of the nodes, counted through.
         components: ``(n,)`` 0, 1 or 2.
         values: ``(n,)`` [m/s].
-        counted: ``(n_tiles,)`` whether this rank is the one that counts a tile.
+        counted: ``(n_tiles, nodes)`` whether this rank is the one that counts a node.
     """
-    total, flat = np.zeros(3), rows.reshape(-1, COLUMNS)
+    forces, flat, counts = np.zeros(len(places)), rows.reshape(-1, COLUMNS), counted.reshape(-1)
     for i in range(len(places)):
         n, k = places[i], components[i]
-        if counted[n // rows.shape[1]]:
+        if counts[n]:
             m = flat[n, MASS]
-            total[k] += (m * values[i] - flat[n, MOMENTUM + k]) / dt - flat[n, FORCE + k]
-    return total
+            forces[i] = (m * values[i] - flat[n, MOMENTUM + k]) / dt - flat[n, FORCE + k]
+    return forces
 
 
 @njit

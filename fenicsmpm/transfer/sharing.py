@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Tiles that several ranks have: sums over these ranks, and ways from dolfinx' dofs to tiles.
+"""Nodes of tiles that several ranks have: their sums, and ways from dolfinx' dofs to tiles.
 
-Who has a tile is known to one rank each, by the tile's number. Each rank that has a tile adds what
-all of them give to it in the order of ranks, so all have the same sums bit by bit.
+Who has a tile is known to one rank each, by the tile's number. Each rank that wants the sums at a
+node adds what all of them give to it in the order of ranks, so all have the same sums bit by bit.
 """
 
 # mypy: disallow_untyped_defs=False
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from mpi4py import MPI
@@ -29,14 +30,14 @@ Floats = npt.NDArray[np.float64]
 
 
 @njit
-def _pack(tiles, chosen, packed):
-    for t in range(len(chosen)):
-        for i in range(tiles.shape[1]):
-            packed[t, i] = tiles[chosen[t], i]
+def _pack(rows, chosen, packed):
+    for n in range(len(chosen)):
+        for i in range(rows.shape[1]):
+            packed[n, i] = rows[chosen[n], i]
 
 
 @njit
-def copy_rows(values, places, dofs, index, nodal):
+def _copy(values, places, dofs, index, nodal):
     """Rows ``places`` of values to rows ``dofs[index]`` of nodal values."""
     for i in range(len(places)):
         for k in range(values.shape[1]):
@@ -44,28 +45,28 @@ def copy_rows(values, places, dofs, index, nodal):
 
 
 @njit
-def _clear(tiles, chosen):
-    for t in range(len(chosen)):
-        for i in range(tiles.shape[1]):
-            tiles[chosen[t], i] = 0.0
+def _clear(rows, chosen):
+    for n in range(len(chosen)):
+        for i in range(rows.shape[1]):
+            rows[chosen[n], i] = 0.0
 
 
 @njit
-def _add(tiles, chosen, packed):
-    for t in range(len(chosen)):
-        for i in range(tiles.shape[1]):
-            tiles[chosen[t], i] += packed[t, i]
+def _add(rows, chosen, packed):
+    for n in range(len(chosen)):
+        for i in range(rows.shape[1]):
+            rows[chosen[n], i] += packed[n, i]
 
 
 class Sharing:
-    """Who has which tiles, of all bodies or of one.
+    """Who has which tiles, of all bodies or of one, and who adds to which of their nodes.
 
     Args:
         comm: of the mesh.
         layout: tiles of this rank.
 
     Attributes:
-        counted: ``(n_tiles,)`` whether this rank is the first one that adds to a tile.
+        counted: ``(n_tiles, nodes)`` whether this rank is the first one that adds to a node.
     """
 
     def __init__(self, comm: MPI.Intracomm, layout: Layout) -> None:
@@ -82,21 +83,27 @@ class Sharing:
         self._entries = {name: a[order] for name, a in self._entries.items()}
         ids, ranks = self._entries["id"], self._entries["rank"]
         giver, taker = _pairs(ids)
-        keep = self._entries["touched"][giver] & (ranks[giver] != ranks[taker])
-        giver, taker = giver[keep], taker[keep]
-        gives = exchange(comm, ranks[giver], {"id": ids[giver], "rank": ranks[taker]})
-        takes = exchange(comm, ranks[taker], {"id": ids[taker], "rank": ranks[giver]})
-        self._give, self._take = self._by_rank(gives), self._by_rank(takes)
-        for rank, tiles in self._take.items():
+        nodes = self._entries["touched"][giver] & self._entries["wanted"][taker]
+        keep = nodes.any(axis=1) & (ranks[giver] != ranks[taker])
+        giver, taker, nodes = giver[keep], taker[keep], nodes[keep]
+        # what a rank adds to, another may want
+        gives = {"id": ids[giver], "rank": ranks[taker], "nodes": nodes}
+        takes = {"id": ids[taker], "rank": ranks[giver], "nodes": nodes}
+        self._give = self._by_rank(exchange(comm, ranks[giver], gives))
+        self._take = self._by_rank(exchange(comm, ranks[taker], takes))
+        for rank, places in self._take.items():
             if rank < comm.rank:
-                self.counted[tiles] = False
+                self.counted.reshape(-1)[places] = False
 
     def _by_rank(self, pairs: dict[str, npt.NDArray]) -> dict[int, Integers]:
-        """Places of tiles in the layout for each other rank, both in ascending order."""
-        places = np.searchsorted(self.layout.ids, pairs["id"])
-        return {
-            int(rank): np.sort(places[pairs["rank"] == rank]) for rank in np.unique(pairs["rank"])
-        }
+        """Rows of nodes in the tiles, counted through, for each other rank, all ascending."""
+        places, per_tile = np.searchsorted(self.layout.ids, pairs["id"]), pairs["nodes"].shape[1]
+        rows = {}
+        for rank in np.unique(pairs["rank"]):
+            of_rank = pairs["rank"] == rank
+            tile, node = np.nonzero(pairs["nodes"][of_rank])
+            rows[int(rank)] = np.sort(places[of_rank][tile] * per_tile + node)
+        return rows
 
     def holders(self, ids: Integers) -> tuple[Integers, Integers]:
         """Ranks that have tiles, of which this rank is the keeper.
@@ -113,7 +120,12 @@ class Sharing:
 
 def _entries_of(layout: Layout, rank: int) -> dict[str, npt.NDArray]:
     ranks = np.full(len(layout.ids), rank, dtype=np.int32)
-    return {"id": layout.ids, "touched": layout.touched, "rank": ranks}
+    return {
+        "id": layout.ids,
+        "rank": ranks,
+        "touched": layout.touched,
+        "wanted": layout.wanted,
+    }
 
 
 def _keeper(ids: Integers, comm: MPI.Intracomm) -> npt.NDArray[np.int32]:
@@ -131,23 +143,23 @@ def _pairs(ids: Integers) -> tuple[Integers, Integers]:
 
 
 class Sums:
-    """Sums over ranks of the tiles that they share.
+    """Sums over ranks at the nodes that they share.
 
     Args:
         sharing: who has which tiles.
-        numbers: how many a tile has.
+        columns: numbers of a node.
     """
 
-    def __init__(self, sharing: Sharing, numbers: int) -> None:
+    def __init__(self, sharing: Sharing, columns: int) -> None:
         """Allocate what is sent and received, once for all steps of a block."""
         comm = sharing.comm
-        self._numbers = numbers
+        self._columns = columns
         self._give = list(sharing._give.items())
         self._take = dict(sharing._take)
         mine = [np.empty(0, np.int64), *self._take.values()]
         self._take[comm.rank] = np.unique(np.concatenate(mine))
-        self._sent = [np.empty((len(tiles), numbers)) for _, tiles in self._give]
-        self._taken = {rank: np.empty((len(tiles), numbers)) for rank, tiles in self._take.items()}
+        self._sent = [np.empty((len(rows), columns)) for _, rows in self._give]
+        self._taken = {rank: np.empty((len(rows), columns)) for rank, rows in self._take.items()}
         self._requests: list[Any] = []
         if comm.size > 1:
             receive = [
@@ -163,10 +175,10 @@ class Sums:
         self._rank = comm.rank
 
     def add(self, tiles: Floats) -> None:
-        """Sum up tiles ``(n_tiles, ...)``, which are contiguous, in place (collective)."""
+        """Sum up tiles ``(n_tiles, nodes, columns)``, contiguous, in place (collective)."""
         if not self._requests:
             return
-        flat = tiles.reshape(-1, self._numbers)
+        flat = tiles.reshape(-1, self._columns)
         for (_, chosen), packed in zip(self._give, self._sent, strict=True):
             _pack(flat, chosen, packed)
         MPI.Prequest.Startall(self._requests)
@@ -184,6 +196,14 @@ class Sums:
         self._requests = []
 
 
+@njit
+def _fill_vertices(dofs, vertices, vertex):
+    """``vertex[dofs] = vertices``, for which numpy would copy all indices with 8 bytes each."""
+    for c in range(len(dofs)):
+        for i in range(dofs.shape[1]):
+            vertex[dofs[c, i]] = vertices[c, i]
+
+
 class NodeNumbers:
     """Dolfinx' numbers of the nodes of a lattice, for a linear space.
 
@@ -192,26 +212,30 @@ class NodeNumbers:
     """
 
     def __init__(self, V: fem.FunctionSpace) -> None:
-        """Make tables, of 4 bytes a node each."""
+        """Take what dolfinx knows of the cells: there may be many nodes, and few with points."""
         self._lattice, self._x = lattice_of(V.mesh), V.mesh.geometry.x
-        vertices, dofs = _compat.geometry_dofmap(V.mesh), V.dofmap.list
-        self._dof = np.empty(len(self._x), dtype=np.int32)
-        self._dof[vertices] = dofs
-        self._vertex = np.empty_like(self._dof)
-        self._vertex[dofs] = vertices
+        self._vertices, self._dofs = _compat.geometry_dofmap(V.mesh), V.dofmap.list
         self._owned = V.dofmap.index_map.size_local
 
     def positions(self, dofs: npt.NDArray[np.integer]) -> Floats:
         """Where nodes are, ``(n, 3)`` [m]."""
-        return self._x[self._vertex[dofs]]
+        return self._x[self._vertex[dofs]] if len(dofs) else np.empty((0, 3))
 
-    def owned_in(self, tiles: Integers, nodes: Nodes) -> npt.NDArray[np.int32]:
-        """Owned nodes in some tiles, ascending."""
+    @functools.cached_property
+    def _vertex(self) -> npt.NDArray[np.int32]:
+        """Node of the mesh's geometry of each dof, made when there are conditions at some."""
+        vertex = np.empty(len(self._x), dtype=np.int32)
+        _fill_vertices(self._dofs, self._vertices, vertex)
+        return vertex
+
+    def owned_in(self, tiles: Integers, nodes: Nodes) -> tuple[npt.NDArray[np.int32], Floats]:
+        """Owned nodes in some tiles, ascending, and where they are, ``(n, 3)`` [m]."""
         every = nodes.in_tiles(tiles).reshape(-1, 3)
         index = every[np.all(every < nodes.shape, axis=1)]
-        vertices = self._lattice.nodes(index[:, : len(self._lattice.shape)])
-        dofs = self._dof[vertices[vertices >= 0]]
-        return np.unique(dofs[dofs < self._owned])
+        dofs = self._lattice.nodes(index[:, : len(self._lattice.shape)], self._dofs)
+        owned = np.flatnonzero((dofs >= 0) & (dofs < self._owned))
+        owned = owned[np.argsort(dofs[owned])]
+        return dofs[owned], nodes.origin + index[owned] / nodes.per_metre
 
 
 class DofLink:
@@ -223,14 +247,16 @@ class DofLink:
         x: ``(n, 3)`` where this rank's nodes are that are linked [m].
 
     Attributes:
-        places: ``(m,)`` rows of the nodes in this rank's tiles, counted through.
+        places: ``(m,)`` rows of the nodes in this rank's tiles, counted through, that are near its
+            points.
         index: ``(m,)`` where they are in ``x`` of the rank that owns them.
+        asked: ``(k,)`` which of this rank's nodes are asked for, by rank and in that one's order.
     """
 
     def __init__(self, sharing: Sharing, nodes: Nodes, x: Floats) -> None:
         """Find the ways (collective)."""
         comm, ids = sharing.comm, sharing.layout.ids
-        self._comm, self._n, self._counted = comm, len(x), sharing.counted
+        self._comm = comm
         tile, node = nodes.places(x)
         data = {
             "tile": tile,
@@ -247,32 +273,42 @@ class DofLink:
             data = exchange(comm, holder.astype(np.int32), data)
         order = np.lexsort((data["index"], data["owner"]))
         self.index, self._owner = data["index"][order], data["owner"][order]
-        place = np.searchsorted(ids, data["tile"][order])
-        self.places = place * nodes.per_tile + data["node"][order]
-        self._tile = place
-        # what this rank's owned dofs are asked for, by rank and then in the order of places
-        self._to, self._asked = self._owner, self.index
+        places = np.searchsorted(ids, data["tile"][order]) * nodes.per_tile + data["node"][order]
+        near = sharing.layout.near.reshape(-1)[places]
+        self.places, self.index, self._owner = (a[near] for a in (places, self.index, self._owner))
+        told = sharing.counted.reshape(-1)[self.places]
+        here = told & (self._owner == comm.rank)
+        self._here, self._index_here = self.places[here], self.index[here]
+        away = told & ~here
+        self._away, self._owner_away = self.places[away], self._owner[away]
+        self._index_from_away = self.index[away]
+        self._to, self.asked = self._owner, self.index
         if comm.size > 1:
             here = np.full(len(self.index), comm.rank, dtype=np.int32)
             asked = exchange(comm, self._owner, {"index": self.index, "rank": here})
-            self._to, self._asked = asked["rank"], asked["index"]
+            self._to, self.asked = asked["rank"], asked["index"]
+            told_to = exchange(comm, self._owner_away, {"index": self._index_from_away})
+            self._index_from_away = told_to["index"]
 
     def spread(self, values: Floats) -> Floats:
         """Values ``(n, ...)`` of owned dofs at ``places``, ``(m, ...)`` (collective)."""
-        sent = values[self._asked]
+        sent = values[self.asked]
         if self._comm.size == 1:
             return sent
         return exchange(self._comm, self._to, {"value": sent})["value"]
 
-    def collect(self, values: Floats) -> Floats:
-        """Values ``(m, ...)`` at ``places`` to owned dofs, zero without a tile (collective).
+    def collect(self, values: Floats, dofs: npt.NDArray[np.int32], nodal: Floats) -> None:
+        """Values ``(rows of tiles, k)`` to owned dofs of a function (collective).
 
-        Where several ranks have a node, the first one that adds to it says what it has.
+        Where several ranks have a node, the first one that adds to it says what it has. Nodes that
+        no points touch are left as they are.
+
+        Args:
+            values: of this rank's tiles.
+            dofs: ``(n,)`` of the nodes ``x``.
+            nodal: ``(owned dofs or more, k)``, to be set.
         """
-        result = np.zeros((self._n, *values.shape[1:]))
-        told = self._counted[self._tile]
-        data = {"index": self.index[told], "value": values[told]}
+        _copy(values, self._here, dofs, self._index_here, nodal)
         if self._comm.size > 1:
-            data = exchange(self._comm, self._owner[told], data)
-        result[data["index"]] = data["value"]
-        return result
+            away = exchange(self._comm, self._owner_away, {"value": values[self._away]})
+            nodal[dofs[self._index_from_away]] = away["value"]

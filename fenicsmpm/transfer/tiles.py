@@ -22,7 +22,12 @@ from fenicsmpm.basis.lattice import Lattice
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.basis.windows import ON_WALL, SIDE
 from fenicsmpm.lanes import LANES
+from fenicsmpm.points.boxes import all_owned
+from fenicsmpm.points.geometry import CellGeometry
 from fenicsmpm.points.sorting import sort_by_number
+
+# Points that are as near to a facet, in cells, may belong to either cell
+_ON_FACET = 1e-6
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -258,19 +263,47 @@ class Layout(NamedTuple):
 
     Attributes:
         ids: ``(n,)`` their numbers, in ascending order.
-        touched: ``(n,)`` whether points of this rank may add to them; others are next to such.
+        touched: ``(n, nodes of a tile)`` whether points of this rank may see and add to a node.
+        near: ``(n, nodes of a tile)`` whether it is such a node or next to one, from which forces
+            may be moved there if it is light.
+        wanted: ``(n, nodes of a tile)`` whether sums of all ranks are needed at a node: it is near
+            or next to such, by which light nodes are judged and averages are continued to walls.
         neighbours: ``(n, 27)`` places of the tiles around each; -1 for none.
     """
 
     ids: Integers
     touched: npt.NDArray[np.bool_]
+    near: npt.NDArray[np.bool_]
+    wanted: npt.NDArray[np.bool_]
     neighbours: Numbers
 
 
 def lay(first: Integers, last: Integers, nodes: Nodes) -> Layout:
-    """Tiles with the nodes ``first ... last``, ``(n, 3)`` each, and those around them."""
-    last = np.minimum(last, nodes.shape - 1)
-    return Layout(*_lay(first // nodes.side, last // nodes.side, nodes.tiles))
+    """Tiles with the nodes ``first ... last``, ``(n, 3)`` each, and two more around them."""
+    touched, near, wanted = (
+        (np.maximum(first - ring, 0), np.minimum(last + ring, nodes.shape - 1)) for ring in range(3)
+    )
+    numbers, low, ids, neighbours = _lay(
+        wanted[0] // nodes.side, wanted[1] // nodes.side, nodes.tiles
+    )
+    masks = np.zeros((3, len(ids), nodes.per_tile), dtype=np.bool_)
+    for mask, (lower, upper) in zip(masks, (touched, near, wanted), strict=True):
+        _mark(lower, upper, nodes.side, numbers, low, mask)
+    return Layout(ids, masks[0], masks[1], masks[2], neighbours)
+
+
+@njit
+def _mark(lower, upper, side, numbers, low, mask):
+    """Mark the nodes ``lower ... upper``, ``(n, 3)`` each, in tiles ``(n_tiles, nodes)``."""
+    for n in range(len(lower)):
+        for i in range(lower[n, 0], upper[n, 0] + 1):
+            for j in range(lower[n, 1], upper[n, 1] + 1):
+                for k in range(lower[n, 2], upper[n, 2] + 1):
+                    tile = numbers[
+                        i // side[0] - low[0], j // side[1] - low[1], k // side[2] - low[2]
+                    ]
+                    node = (i % side[0] * side[1] + j % side[1]) * side[2] + k % side[2]
+                    mask[tile, node] = True
 
 
 @njit
@@ -278,24 +311,21 @@ def _lay(lower, upper, tiles):
     low, box = np.zeros(3, np.int64), np.zeros(3, np.int64)
     if len(lower) > 0:
         for k in range(3):
-            low[k] = max(lower[:, k].min() - 1, 0)
-            box[k] = min(upper[:, k].max() + 1, tiles[k] - 1) - low[k] + 1
-    touched = np.zeros((box[0], box[1], box[2]), np.bool_)
+            low[k] = lower[:, k].min()
+            box[k] = upper[:, k].max() - low[k] + 1
+    numbers, count = np.full((box[0], box[1], box[2]), -1, np.int32), 0
     for n in range(len(lower)):
         for i in range(lower[n, 0], upper[n, 0] + 1):
             for j in range(lower[n, 1], upper[n, 1] + 1):
                 for k in range(lower[n, 2], upper[n, 2] + 1):
-                    touched[i - low[0], j - low[1], k - low[2]] = True
-    numbers, count = np.full(touched.shape, -1, np.int32), 0
+                    numbers[i - low[0], j - low[1], k - low[2]] = 0
     for i in range(box[0]):
         for j in range(box[1]):
             for k in range(box[2]):
-                near = touched[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2]
-                if near.any():
+                if numbers[i, j, k] == 0:
                     numbers[i, j, k] = count
                     count += 1
-    ids, is_touched = np.empty(count, np.int64), np.empty(count, np.bool_)
-    neighbours = np.full((count, 27), -1, np.int32)
+    ids, neighbours = np.empty(count, np.int64), np.full((count, 27), -1, np.int32)
     for i in range(box[0]):
         for j in range(box[1]):
             for k in range(box[2]):
@@ -303,13 +333,12 @@ def _lay(lower, upper, tiles):
                 if n < 0:
                     continue
                 ids[n] = ((i + low[0]) * tiles[1] + j + low[1]) * tiles[2] + k + low[2]
-                is_touched[n] = touched[i, j, k]
                 for a in range(max(i - 1, 0), min(i + 2, box[0])):
                     for b in range(max(j - 1, 0), min(j + 2, box[1])):
                         for c in range(max(k - 1, 0), min(k + 2, box[2])):
                             place = ((a - i + 1) * 3 + b - j + 1) * 3 + c - k + 1
                             neighbours[n, place] = numbers[a, b, c]
-    return ids, is_touched, neighbours
+    return numbers, low, ids, neighbours
 
 
 @njit
@@ -378,3 +407,23 @@ def limits(low: Integers, high: Integers, nodes: Nodes, kind: int) -> tuple[Floa
     t_low[low == 0] = -np.inf
     t_high[high >= nodes.shape - width] = np.inf
     return t_low, t_high
+
+
+def stays_home(units: Units, nodes: Nodes, geometry: CellGeometry) -> npt.NDArray[np.bool_]:
+    """Whether the points of each unit are in cells of this rank as long as tiles are not laid anew.
+
+    Args:
+        units: ``n`` of them.
+        nodes: of the lattice.
+        geometry: of the cells of this rank, on a lattice.
+
+    Returns:
+        ``(n,)``; False where some cell in a unit's reach is not of this rank.
+    """
+    assert geometry.boxes is not None
+    highest = np.maximum(nodes.shape - 2, 0)
+    lower, upper = (
+        np.clip(np.floor(ends), 0, highest).astype(np.int64)
+        for ends in (units.t_low - _ON_FACET, units.t_high + _ON_FACET)
+    )
+    return np.asarray(all_owned(geometry.boxes, geometry.num_owned, lower, upper))

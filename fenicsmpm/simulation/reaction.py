@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""Reactions of Dirichlet conditions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm import _compat
+from fenicsmpm.formulations.unknown import Condition
+from fenicsmpm.simulation.explicit import ExplicitMPM
+from fenicsmpm.simulation.observer import Observer
+from fenicsmpm.simulation.step import Step
+
+
+class Reaction(Observer):
+    """Sum of what a condition does to the bodies, as ``observers=[reaction]`` of any loop.
+
+    Nodes of several conditions count for each of them.
+
+    Args:
+        condition: made by ``Unknown.fix``.
+
+    Attributes:
+        value: in the last step: force on the bodies ``(d,)`` [N] where the part moves the points or
+            is their velocity, else the flux into them, ``(1,)`` for a scalar part, in the
+            residual's units.
+    """
+
+    def __init__(self, condition: Condition) -> None:
+        """Nothing is known yet."""
+        self._condition = condition
+        self.value: npt.NDArray[np.float64] = np.full(condition.size, np.nan)
+
+    def done(self, sim: Any, step: Step) -> None:
+        """Ask explicit steps; implicit ones have been asked when they had the residual."""
+        if isinstance(sim, ExplicitMPM):
+            self.value = sim.reaction_of(self._condition)
+
+    def solved(self, sim: Any) -> None:
+        """Sum up the residual at the condition's nodes (collective)."""
+        residual = sim.newton.residual()
+        held = _compat.bc_dofs(self._condition.bc)
+        held = held[held < len(residual)]
+        places = sim.unknown.dofs(self._condition.part)
+        value = np.zeros(len(self.value))
+        for c in range(len(value)):
+            value[c] = residual[np.intersect1d(held, places[c :: len(value)])].sum()
+        self.value = sim.unknown.mesh.comm.allreduce(value)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""Motions of the literature, as ``displacement`` of ``Manufactured``, and the bodies they need."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import ufl
+
+from fenicsmpm.points import MaterialPoints
+
+Motion = Callable[[Any, Any], tuple[Any, ...]]
+
+
+def axis_aligned_waves(amplitude: float, frequency: float) -> Motion:
+    """Standing waves in a unit square or cube between rollers, one a direction.
+
+    P. Wallstedt and J. Guilkey, J. Comput. Phys. 227 (2008): u_i = +- A sin(2 pi X_i) sin(pi f t).
+
+    Args:
+        amplitude: A [m].
+        frequency: f [1/s], such as the wave speed per length.
+    """
+
+    def displacement(X: Any, t: Any) -> tuple[Any, ...]:
+        wave = ufl.sin(ufl.pi * frequency * t)
+        signs = (1, -1, 1)[: X.ufl_shape[0]]
+        return tuple(
+            sign * amplitude * ufl.sin(2 * ufl.pi * X[i]) * wave for i, sign in enumerate(signs)
+        )
+
+    return displacement
+
+
+def generalized_vortex(angle: float, period: float = 1.0) -> Motion:
+    """Layers of a ring turn about the origin and back; its surfaces stay and are free of stress.
+
+    After K. Kamojjala, R. Brannon, A. Sadeghirad and J. Guilkey, Eng. Comput. 31 (2015): angles
+    a sin(pi t / T)^2 (1 - 32 s^2 + 256 s^4) with s = R - 1, for 0.75 < R < 1.25. Volume is kept.
+
+    Args:
+        angle: largest one a, at R = 1.
+        period: T until all is as before [s].
+    """
+
+    def displacement(X: Any, t: Any) -> tuple[Any, ...]:
+        s = ufl.sqrt(ufl.inner(X, X)) - 1
+        turned = angle * ufl.sin(ufl.pi * t / period) ** 2 * (1 - 32 * s**2 + 256 * s**4)
+        cos, sin = ufl.cos(turned), ufl.sin(turned)
+        return (cos - 1) * X[0] - sin * X[1], sin * X[0] + (cos - 1) * X[1]
+
+    return displacement
+
+
+def ring(mesh: Any, spacing: float, inner: float = 0.75, outer: float = 1.25) -> MaterialPoints:
+    """Points on circles about the origin, each with its part of the ring as its volume.
+
+    Args:
+        mesh: background mesh in the plane around it.
+        spacing: about that of the points [m].
+        inner: radius [m].
+        outer: radius [m].
+    """
+    count = max(1, round((outer - inner) / spacing))
+    width = (outer - inner) / count
+    x, volume = [], []
+    for radius in inner + width * (np.arange(count) + 0.5):
+        n = round(2 * math.pi * radius / width)
+        angle = 2 * math.pi * (np.arange(n) + 0.5) / n
+        x.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        volume.append(np.full(n, 2 * math.pi * radius * width / n))
+    here = mesh.comm.rank == 0
+    points, volumes = np.concatenate(x), np.concatenate(volume)
+    return MaterialPoints(
+        mesh, points if here else points[:0], weight=volumes if here else volumes[:0]
+    )

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""Bending beam and twisting column: table 1 of VMS in full, and the cases of CMN.
+
+The problems are those of demos/bending_beam.py and demos/twisting_column.py: sections 6.3 and 6.4
+of VMS. Cases 1 to 5 are its sizes of cells and points a cell; "cmn" is the case of the slides of
+Moreno, Contri and Larese (CMN 2022) with Miehe's volumetric law and, here, subscales with inertia
+and tied nodes. Displacements of the corner are compared with Taylor-Hood P2-P1 finite elements. A
+run takes hours: it writes its history, a series for ParaView and a checkpoint to go on from.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm.cells import ActiveCells, Tying, correct_weights
+from fenicsmpm.diagnostics import kinetic_energy, probe, strain_energy
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.solvers import NewtonError
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "meshes"))
+from column import column  # noqa: E402
+
+TABLE_1 = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # m, points a cell
+CASES = {str(i): {"h": h, "per_cell": n} for i, (h, n) in enumerate(TABLE_1, start=1)}
+CASES["cmn"] = {"h": 0.2, "per_cell": 16, "volumetric": "miehe", "transient": True, "tied": True}
+# Half the width of the background mesh [m], the number of points along a side is a multiple of;
+# end of a run, until when u_x has its first peak [s]; what is different in the case of CMN
+COLUMNS = {
+    "bending_beam": ((4.5, 1.0), 2, 3.0, 0.9, {"dt": 0.01}),
+    "twisting_column": ((1.25, 1.25), 4, 0.5, 0.07, {"speed": 1.05}),
+}
+
+
+def velocity(name, x):
+    if name == "bending_beam":
+        return np.outer((5 / 3, 0, 0), x[2])
+    return 100 * np.sin(np.pi * x[2] / 12) * np.array([x[1], -x[0], 0 * x[2]])
+
+
+def build(
+    name, h=0.25, per_cell=12, dt=0.001, stabilization="asgs", scheme="Bossak", speed=1.0,
+    volumetric="quadratic", transient=False, tied=False,
+):  # fmt: skip
+    """The loop; its carried point is the corner."""
+    (half_x, half_y), unit, *_ = COLUMNS[name]
+    domain, tags = column(h, (-half_x, -half_y, 0), (half_x, half_y, 7))
+    in_body = np.sum(tags.values[tags.indices < domain.topology.index_map(3).size_local] == 1)
+    # a cubic lattice, which begins at the corner of the mesh and has to fit the body's
+    count = domain.comm.allreduce(int(in_body)) * per_cell / 6
+    spacing = 1 / (unit * round(count ** (1 / 3) / unit))
+    body = points.lattice(domain, spacing, lambda x: np.all(np.abs(x) < [[0.5], [0.5], [6]], 0))
+    formulations.set_initial_state(body, 1100.0, lambda x: speed * velocity(name, x))  # kg/m^3
+    tip = points.at(domain, (0.5, 0.5, 6.0))
+    law = NeoHookean(1.7e7, nu=0.5, volumetric=volumetric)  # Pa
+    projections = formulations.PROJECTIONS if stabilization == "osgs" else ()
+    z = formulations.Unknown(domain, "u", "p", *projections)
+    z.fix("u", lambda x: np.isclose(x[2], 0))
+    scheme = getattr(formulations, scheme)(z, dt=dt)
+    inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}
+    R = formulations.stabilized(stabilization, z, body, law, **inertia)
+    cells = ActiveCells(body, loads=[tip])
+    newton = {"keep_tangent": 0.01}  # steps are short enough for one tangent each
+    if tied:
+        newton["tying"] = Tying(z.space, body, cells)
+    else:
+        R += formulations.ghost_penalty(z, cells, law)
+    return ImplicitMPM(
+        R, z, scheme, body, carried=[tip], taylor=True, newton=newton,
+        observers=[lambda sim, step: correct_weights(body, cells)],
+    )  # fmt: skip
+
+
+def run(name, until, file, restart=False, saves=100, **case):
+    """History of the corner [m] and the energy [J], the body, and how many steps were halved.
+
+    A checkpoint is saved after every ``saves`` steps.
+    """
+    sim, halved, checkpoint = build(name, **case), 0, Path(f"output/{file}.h5")
+    if restart and checkpoint.exists():
+        io.checkpoint.restore(checkpoint, sim)
+    tip = {f"u_{'xyz'[i]} [m]": lambda sim, i=i: probe(sim.carried[0], "u")[i] for i in range(3)}
+    body, law = sim.bodies[0], NeoHookean(1.7e7, nu=0.5)
+    columns = tip | {"energy [J]": lambda sim: kinetic_energy(body) + strain_energy(body, law)}
+    # called by hand, as they need the loop's body
+    history = io.History(columns, f"output/{file}.csv", case, append=restart)
+    series = io.Series(f"output/{file}.pvd", body, case, every=0.02, append=restart)
+    history.begin(sim)
+    series.begin(sim)
+    try:
+        for step in io.watch(sim.run(until), until, file):
+            halved += step.attempts > 1
+            history.done(sim, step)
+            series.done(sim, step)
+            if step.number % saves == 0:
+                io.checkpoint.save(checkpoint, sim)
+    except NewtonError as error:
+        io.say(f"{file} ends at t = {sim.time:.4f} s: {error}")
+    return history, body, halved
+
+
+def main(
+    name: str, cases: list[str] = ["1", "2", "3", "4", "5"], until: float | None = None,
+    stabilization: str = "asgs", scheme: str = "Bossak", restart: bool = False,
+):  # fmt: skip
+    """Run CASES (1 to 5 of table 1, or cmn) of bending_beam or twisting_column."""
+    if name not in COLUMNS or not set(cases) <= set(CASES):
+        known = f"columns are {', '.join(COLUMNS)}, cases {', '.join(CASES)}"
+        raise typer.BadParameter(f"{name}, {', '.join(cases)}: {known}")
+    _, _, end, window, of_cmn = COLUMNS[name]
+    titles = {"case": "s", "first peak of u_x [m]": ".4f", "at [s]": ".3f", "end [s]": ".3f"}
+    rates = {"largest deviation": ".1%", "energy left": ".1%"}
+    table = io.Table({**titles, **rates, "halved steps": "d"})
+    known = np.loadtxt(ROOT / "benchmarks" / "references" / f"{name}.csv", delimiter=",").T[:2]
+    curves, first = {}, np.argmax(np.abs(known[1, known[0] <= window]))
+    table.row("P2-P1", known[1, first], known[0, first], *[None] * 4)
+    for case in cases:
+        options = CASES[case] | (of_cmn if case == "cmn" else {})
+        options |= {"stabilization": stabilization, "scheme": scheme}
+        file = f"{name}_{case}_{stabilization}_{scheme}"
+        history, body, halved = run(name, until or end, file, restart, **options)
+        t, u_x, left = (history[title] for title in ("t [s]", "u_x [m]", "energy [J]"))
+        curves[f"case {case}"], first = (t, u_x), np.argmax(np.abs(u_x[t <= window]))
+        deviation = np.abs(np.interp(t, *known) - u_x).max() / np.abs(known[1]).max()
+        deviation = None if "speed" in options else deviation  # finite elements are slower
+        table.row(case, u_x[first], t[first], t[-1], deviation, left[-1] / left[0], halved)
+        title = {f"case {case}, t = {t[-1]:.3f} s": body}
+        io.picture(f"output/{file}.png", title, "p", "mean stress p [Pa]", cut=1)
+    known = {"P2-P1 finite elements": tuple(known[:, known[0] <= t[-1]])}
+    io.plot(f"output/{name}_tip.png", curves, "t [s]", "u_x of the corner [m]", reference=known)
+
+
+if __name__ == "__main__":
+    typer.run(main)

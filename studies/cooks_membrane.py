@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""Cook's membrane: all stabilizations on all meshes, figures 4 and 5 of VMS.
+
+The problem is that of demos/cooks_membrane.py. Prints tip displacements beside their limit by
+Taylor-Hood P2-P1 finite elements, and draws them and the pressure fields. The colours are those of
+the stabilized pressures: without stabilization two oscillating pressures do no work on any P1
+displacement, so that the solution is determined up to their multiples only.
+"""
+
+from mpi4py import MPI
+
+import numpy as np
+import typer
+from dolfinx import mesh
+
+from fenicsmpm import forms, formulations, io, points
+from fenicsmpm.diagnostics import probe
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.solvers import NewtonSolver
+
+CONVERGED = {0.5: 0.2761, 0.499: 0.2765}  # m, of the tip by Poisson's ratio, P2-P1 elements
+
+
+def solve(n, stabilization, nu=0.5):
+    """Pressure on the grid, displacement of the tip upwards [m], and Newton iterations."""
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, diagonal=mesh.DiagonalType.right)
+    x, y, _ = domain.geometry.x.T.copy()
+    domain.geometry.x[:, :2] = np.column_stack([48 * x, 44 * x + (44 - 28 * x) * y])
+    body = points.quadrature(domain, degree=2)
+    edge = points.on_facets(domain, lambda x: np.isclose(x[0], 48))
+    tip = points.at(domain, (48.0, 60.0))
+    projections = formulations.PROJECTIONS if stabilization == "osgs" else ()
+    z = formulations.Unknown(domain, "u", "p", *projections)
+    z.fix("u", lambda x: np.isclose(x[0], 0))
+    R = formulations.stabilized(stabilization, z, body, NeoHookean(E=70.0, nu=nu))  # Pa
+    R += formulations.dead_load(z.test.u, edge, (0, 0.0625))  # Pa
+    # MUMPS is to detect the pressures that do no work and take some multiple of them
+    detect = {"mat_mumps_icntl_24": 1, "mat_mumps_cntl_3": -1e-10}
+    options = detect if stabilization == "none" else None
+    newton = NewtonSolver(R, z.U, z.bcs, petsc_options=options).solve()
+    tip.add_field("u", (2,), forms.evaluate(z.u, tip))
+    return z.function("p"), probe(tip, "u")[1], newton.iterations
+
+
+def main(nu: float = 0.5, sizes: list[int] = [8, 16, 32, 64, 128]):
+    """Compare stabilizations of equal-order elements, for Poisson's ratio NU and squares a side."""
+    limit, tips, pressures = CONVERGED.get(nu), {}, {}
+    columns = {"squares": "d", "stabilization": "s", "tip [m]": ".4f", "to the limit": "+.2%"}
+    table = io.Table({**columns, "Newton iterations": "d"})
+    for n in io.progress(sizes, "Cook's membrane"):
+        for name in formulations.STABILIZATIONS:
+            p, tip, iterations = solve(n, name, nu)
+            table.row(n, name, tip, limit and tip / limit - 1, iterations)
+            tips.setdefault(name, []).append(tip)
+            if n == min(32, max(sizes)):
+                pressures[name] = p
+    label, limits = "mean stress p [Pa]", (-0.15, 0.15)
+    io.picture("output/cooks_membrane_pressures.png", pressures, "p", label, limits=limits)
+    curves = {name: (1 / np.array(sizes), found) for name, found in tips.items()}
+    labels = "1 / squares along a side", "vertical displacement of the tip [m]"
+    reference = {"P2-P1 finite elements": limit} if limit else None
+    io.plot("output/cooks_membrane_tips.png", curves, *labels, reference=reference)
+
+
+if __name__ == "__main__":
+    typer.run(main)

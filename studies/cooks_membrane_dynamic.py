@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""Cook's membrane in motion: figures 6a, 6c and 6d of VMS, other schemes, and the case of CMN.
+
+The problem is that of demos/cooks_membrane_dynamic.py. VMS compares stabilizations (6a), numbers of
+points a cell (6c) and sizes of cells (6d); the slides of Moreno, Contri and Larese (CMN 2022) have
+Miehe's volumetric law, short steps and, here, subscales with inertia and tied nodes (cmn). Turning
+points are compared with Taylor-Hood P2-P1 finite elements; heights as shares of the first peak.
+"""
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import typer
+from dolfinx import mesh
+from scipy.signal import argrelextrema
+
+from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm.cells import ActiveCells, Tying, correct_weights
+from fenicsmpm.diagnostics import probe
+from fenicsmpm.materials import NeoHookean
+from fenicsmpm.solvers import NewtonError
+
+REFERENCE = Path(__file__).parents[1] / "benchmarks" / "references" / "cook_dynamic.csv"
+CMN = {"dt": 0.0025, "volumetric": "miehe", "transient": True, "tied": True, "per_cell": 16}
+LABELS = "stabilization", "h", "per_cell", "scheme"
+FIGURES = {
+    "6a": [{"stabilization": name} for name in formulations.STABILIZATIONS],
+    "6c": [{"per_cell": n} for n in (6, 12, 33)],
+    "6d": [{"h": h} for h in (0.2, 0.1, 0.05)],
+    "schemes": [{"scheme": s} for s in ("Bossak", "GeneralizedAlpha", "Newmark", "BDF2")],
+    "cmn": [CMN | {"h": h} for h in (0.6, 0.3, 0.15, 0.075, 0.0375)],
+}
+
+
+def panel(x):
+    return (x[0] <= 4.8) & (x[1] >= x[0] * 4.4 / 4.8) & (x[1] <= 4.4 + x[0] * 1.6 / 4.8)
+
+
+def build(
+    stabilization="asgs", h=0.1, per_cell=33, scheme="Bossak", dt=0.025, volumetric="quadratic",
+    transient=False, tied=False, corrected=True,
+):  # fmt: skip
+    """The loop; its carried points are the loaded edge and the tip."""
+    nx, ny = (int(np.ceil(length / h - 1e-9)) for length in (6, 10))
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, -1), (nx * h, ny * h - 1)], [nx, ny])
+    body = points.lattice(domain, h * np.sqrt(0.5 / per_cell), inside=panel)
+    formulations.set_initial_state(body, density=1.0)  # kg/m^2
+    edge = points.on_curve(domain, (4.8, 4.4), (4.8, 6.0), spacing=h / 5)
+    tip = points.at(domain, (4.8, 6.0))
+    cells = ActiveCells(body, loads=[edge, tip])
+    law = NeoHookean(250.0, nu=0.5, volumetric=volumetric)  # Pa
+    projections = formulations.PROJECTIONS if stabilization == "osgs" else ()
+    z = formulations.Unknown(domain, "u", "p", *projections)
+    z.fix("u", lambda x: np.isclose(x[0], 0))
+    scheme = getattr(formulations, scheme)(z, dt=dt)
+    inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}
+    R = formulations.stabilized(stabilization, z, body, law, **inertia)
+    R += formulations.dead_load(z.test.u, edge, (0.0, 6.25))  # Pa
+    if not tied:
+        R += formulations.ghost_penalty(z, cells, law)
+    return ImplicitMPM(
+        R, z, scheme, body, carried=[edge, tip],
+        observers=[lambda sim, step: correct_weights(body, cells)] if corrected else [],
+        newton={"tying": Tying(z.space, body, cells)} if tied else {},
+    )  # fmt: skip
+
+
+def run(until, label, movie=None, **case):
+    """Times [s] and displacements of the tip upwards [m]."""
+    sim = build(**case)
+    rows, frames = [(0.0, 0.0)], []
+    try:
+        for step in io.watch(sim.run(until), until, label):
+            rows.append((step.time, probe(sim.carried[1], "u")[1]))
+            if movie and step.time >= (len(frames) + 1) * until / 70 - 1e-9:
+                frames.append(Path(movie).with_suffix("") / f"{len(frames):03d}.png")
+                panels, box = {f"t = {step.time:.2f} s": sim.bodies}, ((-0.2, -0.2), (5.2, 7.6))
+                io.picture(frames[-1], panels, "p", "p [Pa]", limits=(-40, 60), bounds=box)
+    except NewtonError as error:
+        io.say(f"{label} ends at t = {sim.time:.3f} s: {error}")
+    if frames:
+        io.animate(movie, frames)
+    return tuple(np.array(rows).T)
+
+
+def turning_points(t, y):
+    """Times [s] and values of peaks and minima; turns of noise within 0.2 s are not meant."""
+    grid = np.arange(0, t[-1], 0.0025)
+    values = np.interp(grid, t, y)
+    found = [argrelextrema(values, kind, order=80)[0] for kind in (np.greater, np.less)]
+    return [(grid[k], values[k]) for k in np.sort(np.concatenate(found))]
+
+
+def main(
+    figures: list[str] = ["6a", "6c", "6d"], until: float = 7.0, scheme: str = "Bossak",
+    h: float = 0.1, tied: bool = False, corrected: bool = True, movie: bool = False,
+):  # fmt: skip
+    """Repeat FIGURES: 6a, 6c, 6d, schemes or cmn; the options are for cases that leave them out."""
+    if unknown := set(figures) - set(FIGURES):
+        raise typer.BadParameter(f"{', '.join(unknown)}: the figures are {', '.join(FIGURES)}")
+    t, _, y = np.loadtxt(REFERENCE, delimiter=",").T
+    expected, shown = turning_points(t, y), t <= until
+    common = {"scheme": scheme, "h": h, "tied": tied, "corrected": corrected}
+    for figure in figures:
+        columns = {"case".ljust(32): "s", "u_y [m]": ".4f", "off by": "+.1%", "t [s]": ".3f"}
+        table, curves = io.Table({**columns, "off by ": "+.1%"}), {}
+        for case in FIGURES[figure]:
+            label = ", ".join(f"{key} {case[key]}" for key in LABELS if key in case)
+            gif = f"output/cooks_membrane_{label.replace(' ', '_')}.gif" if movie else None
+            curves[label] = run(until, label, gif, **common | case)
+            turns = zip(turning_points(*curves[label]), expected, strict=False)
+            for (time, value), (t_ref, y_ref) in turns:
+                share = (value - y_ref) / expected[0][1]
+                table.row(label.ljust(32), value, share, time, time / t_ref - 1)
+        reference = {"P2-P1 finite elements": (t[shown], y[shown])}
+        labels = "t [s]", "vertical displacement of the tip [m]"
+        io.plot(f"output/cooks_membrane_{figure}.png", curves, *labels, reference=reference)
+
+
+if __name__ == "__main__":
+    typer.run(main)
