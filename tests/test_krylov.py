@@ -88,9 +88,11 @@ def test_what_iterations_do_not_solve_is_solved_directly(many, monkeypatch):
 
 
 @pytest.mark.mpi
-def test_a_restart_agrees_to_round_off(many, tmp_path):
+@pytest.mark.parametrize(("newton", "difference"), [({}, 1e-8), ({"rtol": 1e-12}, 1e-11)])
+def test_a_restart_agrees_to_newtons_tolerance(many, tmp_path, newton, difference):
+    # not bit for bit: on three ranks, dolfinx does not always cut the mesh in the same way
     path = COMM.bcast(tmp_path) / "block.h5"
-    sim, again = block(), block()
+    sim, again = block(**newton), block(**newton)
     sim.step()
     io.checkpoint.save(path, sim)
     sim.step()
@@ -99,7 +101,7 @@ def test_a_restart_agrees_to_round_off(many, tmp_path):
     assert again.linear.method == "GMRES + ILU(0)"
     for name in ("x", "v", "F", "p"):
         one, other = (by_id(s.bodies[0], name) for s in (sim, again))
-        assert one == pytest.approx(other, abs=1e-11 * np.abs(one).max()), name
+        assert one == pytest.approx(other, abs=difference * np.abs(one).max()), name
 
 
 @pytest.mark.mpi
