@@ -123,7 +123,8 @@ def restore(path: str | Path, sim: Simulation) -> None:
     ranks, everything goes on bit by bit as without the interruption, provided that the linear
     solver itself gives the same bits each time, and for explicit steps, with the same number of
     threads. Otherwise the points go to the ranks that own their cells, and results agree to
-    round-off, or to the tolerance of Newton's method where systems are solved by iterations. Grid functions are not part of the state: the unknown has its values again after the
+    round-off, or to the tolerance of Newton's method where systems are solved by iterations. Grid
+    functions are not part of the state: the unknown has its values again after the
     next step. What the script has chosen otherwise than before, such as a parameter of a law, is
     logged as a warning: that may be meant.
 
