@@ -51,8 +51,7 @@ def build(
     tip = points.at(domain, (4.8, 6.0))
     cells = ActiveCells(body, loads=[edge, tip])
     law = NeoHookean(250.0, nu=0.5, volumetric=volumetric)  # Pa
-    projections = formulations.PROJECTIONS if stabilization == "osgs" else ()
-    z = formulations.Unknown(domain, "u", "p", *projections)
+    z = formulations.Unknown(domain, "u", "p")
     z.fix("u", lambda x: np.isclose(x[0], 0))
     scheme = getattr(formulations, scheme)(z, dt=dt)
     inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}

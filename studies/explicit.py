@@ -238,7 +238,7 @@ def landslide(h: float = 0.5, until: float = 4.5, dt: float | None = None, avera
             io.checkpoint.restore(f"{path}.h5", sim)
         run_out = {"run-out [m]": lambda sim: sim.bodies[0].bounds()[1][0] - 15}
         history = io.History(run_out, f"{path}.csv", append=restart)
-        series = io.Series(f"{path}.pvd", body, append=restart)
+        series = io.Series(f"{path}.vtkhdf", body, append=restart)
         list(advance(sim, 1.0, 0.05, "settling"))
         for recorder in (history, series):
             recorder.begin(sim)

@@ -94,8 +94,7 @@ def vortex(n, functions, formulation, tied=True, corrected=True, angle=0.3):
     motion = generalized_vortex(angle)
     exact = Manufactured(domain, motion, lambda F, rate: ufl.diff(energy(F), F), DENSITY)
     exact.set_initial_state(body)
-    projections = fm.PROJECTIONS if formulation == "osgs" else ()
-    z = fm.Unknown(domain, "u", *(["p"] if is_mixed else []), *projections)
+    z = fm.Unknown(domain, "u", *(["p"] if is_mixed else []))
     scheme = fm.Bossak(z, dt=0.4 * h)
     force, cells = scheme.force(body, exact.force(body)), ActiveCells(body)
     if is_mixed:

@@ -173,7 +173,10 @@ def spaces(domain):
     yield fem.functionspace(domain, ("Lagrange", 1)), 1
     yield fem.functionspace(domain, ("Lagrange", 1, (dim,))), dim
     yield fm.Unknown(domain, "u", "p").space, dim + 1
-    yield fm.Unknown(domain, "u", "p", *fm.PROJECTIONS).space, 2 * dim + 2
+    yield (
+        fm.Unknown(domain, "u", "p", fm.Part("T"), fm.Part("w", is_vector=True)).space,
+        2 * dim + 2,
+    )
 
 
 @pytest.mark.mpi
@@ -274,8 +277,7 @@ def test_free_fall_with_tied_nodes_and_corrected_weights(stabilization):
     fm.set_initial_state(body, 3.0)
     start = by_id(body, "x")
     mass = by_id(body, "mass")
-    projections = fm.PROJECTIONS if stabilization == "osgs" else ()
-    z = fm.Unknown(domain, "u", "p", *projections)
+    z = fm.Unknown(domain, "u", "p")
     law = NeoHookean(E=20.0, nu=0.3)
     scheme = fm.GeneralizedAlpha(z, dt=dt)
     force = scheme.force(body, fem.Constant(domain, g))

@@ -44,8 +44,7 @@ class Flight:
 
         self.body = points.lattice(domain, spacing or 0.8 / (12 if dim == 2 else 8), inside=inside)
         formulations.set_initial_state(self.body, 2.0, v0)
-        projections = formulations.PROJECTIONS if stabilization == "osgs" else ()
-        self.z = z = Unknown(domain, "u", "p", *projections)
+        self.z = z = Unknown(domain, "u", "p")
         self.law = law = NeoHookean(E, nu)
         self.scheme = scheme(z, dt=dt)
         inertia = self.scheme.force(self.body, b)

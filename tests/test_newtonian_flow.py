@@ -35,8 +35,7 @@ class Flow:
         self.water = water
         stabilization = options.pop("stabilization", "asgs")
         correction = options.pop("correction", 0.0)
-        projections = fm.PROJECTIONS if stabilization == "osgs" else ()
-        self.z = z = fm.Unknown(water.mesh, "u", "p", *projections)
+        self.z = z = fm.Unknown(water.mesh, "u", "p")
         options.pop("walls", lambda z: None)(z)
         self.scheme = SCHEMES[scheme](z, dt)
         self.law = fm.NewtonianFlow(mu, density, self.scheme, correction)

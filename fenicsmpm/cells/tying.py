@@ -171,6 +171,15 @@ class Tying:
         self._reduced.zeroRowsColumns(self._fixed, 1.0, self._work, b)
         return self._reduced
 
+    def transformed(self, A: PETSc.Mat) -> PETSc.Mat:
+        """T^T A T as a new matrix, without diagonals for what is tied (collective).
+
+        Args:
+            A: matrix without Dirichlet conditions, whose inactive rows are set to zero.
+        """
+        A.diagonalScale(self._real_rows)
+        return A.PtAP(self.matrix)
+
     def product(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Compute y = T^T A T x without the conditions of the last ``update`` (collective).
 

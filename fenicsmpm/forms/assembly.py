@@ -7,6 +7,7 @@ they are until the caller scatters them, except where said.
 
 from __future__ import annotations
 
+import itertools
 import weakref
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -175,9 +176,14 @@ def _insert_cliques(pattern: Any, rows: _Indices, columns: _Indices) -> None:
         one = np.ones(n * k, dtype=np.int8)
         incidence.append(scipy.sparse.csr_array((one, blocks.ravel(), ends), shape=(n, size)))
     pairs = (incidence[0].T.astype(np.bool_) @ incidence[1].astype(np.bool_)).tocsr()
-    for row in np.flatnonzero(np.diff(pairs.indptr)).astype(np.int32):
-        found = pairs.indices[pairs.indptr[row] : pairs.indptr[row + 1]]
-        pattern.insert(np.array([row]), found.astype(np.int32))
+    # dolfinx takes blocks, and a call costs more than a row: parts of a mixed space at a node have
+    # equal rows
+    order, starts = loops.equal_rows(pairs.indptr, pairs.indices)
+    found = pairs.indices.astype(np.int32)
+    for begin, end in itertools.pairwise([*starts, len(order)]):
+        columns = found[pairs.indptr[order[begin]] : pairs.indptr[order[begin] + 1]]
+        if len(columns) > 0:
+            pattern.insert(order[begin:end], columns)
 
 
 def assemble_matrix(

@@ -317,3 +317,40 @@ def average_groups(table, weights, offsets):
             for c in range(table.shape[1]):
                 result[k, c] = mean[c] / total
     return result
+
+
+def equal_rows(indptr, indices):
+    """Rows of a sparse pattern, those with the same columns together, and where each set begins.
+
+    Columns are sorted in each row.
+    """
+    keys = np.empty(len(indptr) - 1, dtype=np.uint64)
+    _digests(indptr, indices, keys)
+    order = np.argsort(keys, kind="stable").astype(np.int32)
+    return order, np.flatnonzero(_differs(indptr, indices, order))
+
+
+@njit
+def _digests(indptr, indices, keys):
+    for row in range(len(keys)):
+        key = np.uint64(14695981039346656037)  # FNV-1a
+        for k in range(indptr[row], indptr[row + 1]):
+            key = (key ^ np.uint64(indices[k])) * np.uint64(1099511628211)
+        keys[row] = key
+
+
+@njit
+def _differs(indptr, indices, order):
+    """Whether a row is another one than that before it in the order."""
+    result = np.ones(len(order), dtype=np.bool_)
+    for i in range(1, len(order)):
+        a, b = order[i - 1], order[i]
+        n = indptr[a + 1] - indptr[a]
+        if indptr[b + 1] - indptr[b] == n:
+            same = True
+            for k in range(n):
+                if indices[indptr[a] + k] != indices[indptr[b] + k]:
+                    same = False
+                    break
+            result[i] = not same
+    return result

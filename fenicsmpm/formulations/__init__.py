@@ -14,6 +14,7 @@ from fenicsmpm.formulations.ghost_penalty import ghost_mass, ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
 from fenicsmpm.formulations.internal_force import body_force, internal_force
 from fenicsmpm.formulations.kinematics import Kinematics, embed
+from fenicsmpm.formulations.lumped_projection import LumpedProjection
 from fenicsmpm.formulations.midpoint import Midpoint
 from fenicsmpm.formulations.mixed import MixedLaw, mixed
 from fenicsmpm.formulations.mixed_energy_momentum import MixedEnergyMomentum
@@ -22,7 +23,6 @@ from fenicsmpm.formulations.newtonian_flow import NewtonianFlow
 from fenicsmpm.formulations.quasi_static import QuasiStatic
 from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
-    PROJECTIONS,
     STABILIZATIONS,
     asgs,
     element_size,
@@ -38,7 +38,6 @@ from fenicsmpm.formulations.unknown import Condition, Part, Unknown
 __all__ = [
     "ALGORITHM_1",
     "BDF2",
-    "PROJECTIONS",
     "STABILIZATIONS",
     "TRUE_J",
     "Bossak",
@@ -47,6 +46,7 @@ __all__ = [
     "FBar",
     "GeneralizedAlpha",
     "Kinematics",
+    "LumpedProjection",
     "Midpoint",
     "MixedEnergyMomentum",
     "MixedLaw",

@@ -10,17 +10,14 @@ from typing import Any
 
 import ufl
 
-from fenicsmpm.cells import FilledFraction
 from fenicsmpm.formulations.kinematics import Kinematics
+from fenicsmpm.formulations.lumped_projection import LumpedProjection
 from fenicsmpm.formulations.mixed import MixedLaw, mixed
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
-from fenicsmpm.formulations.unknown import Part, Unknown
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.points import MaterialPoints
 
 STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
-
-# Further parts of the unknown of OSGS
-PROJECTIONS = (Part("Pi_u", is_vector=True, initial=0.0), Part("Pi_p", initial=0.0))
 
 
 def element_size(points: MaterialPoints) -> Any:
@@ -136,12 +133,11 @@ def osgs(
 ) -> ufl.Form:
     """Orthogonal subgrid scales: residuals minus their lumped projection on the grid.
 
-    The projections are unknowns of the same system, ``Unknown(mesh, "u", "p", *PROJECTIONS)``, so
-    Newton's method keeps its quadratic convergence; VMS lags them by an iteration.
+    They depend on the unknown, and ``NewtonSolver`` takes that into the tangent, so that it
+    converges quadratically; VMS lags them by an iteration.
 
     Args:
-        z: unknown with the increment of displacement u [m], the pressure p [Pa], and the
-            projections of the momentum residual Pi_u [N/m^3] and of the volumetric one Pi_p [-].
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
@@ -152,15 +148,11 @@ def osgs(
     Returns:
         UFL form of rank 1.
     """
-    z.require("u", "p", "Pi_u", "Pi_p", of="OSGS (see formulations.PROJECTIONS)")
     z.require_linear("OSGS")
-    Pi_u, Pi_p, eta_u, eta_p = z.Pi_u, z.Pi_p, z.test.Pi_u, z.test.Pi_p
     R_u, R_p = residuals(z, points, law, force)
-    projected = (ufl.inner(R_u, eta_u) + R_p * eta_p) * points.dx
-    fraction = FilledFraction(points)
-    lumped = fraction * (ufl.inner(Pi_u, eta_u) + Pi_p * eta_p) * fraction.vertex_dx
-    subscales = _subscales(z, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2, scheme)
-    return subscales + lumped - projected
+    Pi = LumpedProjection(points, ufl.as_vector([*R_u, R_p]))
+    Pi_u, Pi_p = ufl.as_vector([Pi[i] for i in range(len(R_u))]), Pi[len(R_u)]
+    return _subscales(z, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2, scheme)
 
 
 def stabilized(
@@ -176,8 +168,7 @@ def stabilized(
 
     Args:
         name: "none", "ppp", "asgs" or "osgs".
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa], and with
-            ``PROJECTIONS`` for OSGS.
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.

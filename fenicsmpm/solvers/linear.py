@@ -7,7 +7,7 @@ import ctypes
 import itertools
 import logging
 import time
-from typing import Any
+from typing import Any, Protocol
 
 from petsc4py import PETSc
 
@@ -39,12 +39,25 @@ KRYLOV = {
     "pc_type": "bjacobi",
     "sub_pc_type": "ilu",
 }
+# For a matrix beside which there are terms that are known by their products only
+NEAR = {**KRYLOV, **DIRECT, "ksp_type": "gmres", "ksp_max_it": 100}
+del NEAR["sub_pc_type"]
 # Unknowns with material from which factors in space cost more than iterations; in the plane they
 # do not before there are millions
 _MANY = 15_000
 # Without a tolerance given, and the best that single systems are solved to
 TIGHT = 1e-12
 _numbers = itertools.count()
+
+
+class Products(Protocol):
+    """Terms of a matrix that are known by their products with vectors."""
+
+    def operator(self, A: PETSc.Mat) -> PETSc.Mat:
+        """A and the terms by their products, which follow a scaling of A (collective)."""
+
+    def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
+        """A and the terms as a new matrix (collective)."""
 
 
 class LinearSolverError(RuntimeError):
@@ -56,7 +69,8 @@ class LinearSolver:
 
     By default MUMPS factorizes, but for large systems in three dimensions, which GMRES with
     incomplete factors, ILU(0) of each rank's part, solves. Where that does not converge in 300
-    iterations, MUMPS does it.
+    iterations, MUMPS does it. Of a sum of a matrix and of products, the factors are those of the
+    matrix.
 
     Args:
         comm: MPI communicator.
@@ -93,13 +107,21 @@ class LinearSolver:
         options = DIRECT | given if given.get("pc_type", "lu") == "lu" else given
         self._comm, self._given = comm, list(given)
         self.ksp, self._options = _create(comm, options, prefix)
-        self._krylov: PETSc.KSP | None = None
-        self._is_automatic = dim == 3 and not given
+        self._krylov: dict[str, PETSc.KSP] = {}
+        self._is_automatic, self._dim = not given, dim
+        self._fresh_iterations = 0
         self._scale: PETSc.Vec | None = None
         self.method, self.iterations, self.systems = "", 0, 0
         self.total_iterations, self.direct_after_all, self.seconds = 0, 0, 0.0
 
-    def solve(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float = TIGHT) -> int:
+    def solve(
+        self,
+        A: PETSc.Mat,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        rtol: float = TIGHT,
+        products: Products | None = None,
+    ) -> int:
         """Solve A x = b (collective).
 
         Args:
@@ -108,6 +130,7 @@ class LinearSolver:
             x: solution, overwritten.
             rtol: tolerance of the residual relative to b, for iterations that were chosen here;
                 PETSc options have their own.
+            products: terms that are added to the matrix.
 
         Returns:
             Number of Krylov iterations.
@@ -118,7 +141,7 @@ class LinearSolver:
         """
         begin = time.perf_counter()
         try:
-            self._solve(A, b, x, rtol)
+            self._solve(A, b, x, rtol, products)
         finally:
             self.seconds += time.perf_counter() - begin
         self.systems += 1
@@ -133,7 +156,7 @@ class LinearSolver:
         Args:
             A: assembled matrix.
         """
-        return self._is_automatic and _is_large(A)
+        return self._is_automatic and self._dim == 3 and _is_large(A)
 
     def scaled_norm(self, b: PETSc.Vec) -> float | None:
         """Norm of a residual as GMRES sees it; None if MUMPS solved the system (collective).
@@ -159,14 +182,28 @@ class LinearSolver:
             f"iterations{failed}, {self.seconds:.3g} s)"
         )
 
-    def _solve(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> None:
+    def _solve(
+        self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float, products: Products | None
+    ) -> None:
         if self._scale is not None:
             self._scale.destroy()
             self._scale = None
-        if self.iterates(A):
-            if self._iterate(A, b, x, rtol):
+        is_large = self.iterates(A)
+        if is_large or (products is not None and self._is_automatic):
+            if self._iterate(A, b, x, rtol, products, is_large):
                 return
             self.direct_after_all += 1
+        if products is None:
+            self._solve_by_options(A, b, x)
+            return
+        whole = products.matrix(A)
+        try:
+            self._solve_by_options(whole, b, x)
+        finally:
+            self.ksp.reset()  # which would keep the matrix
+            whole.destroy()
+
+    def _solve_by_options(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         reason = self._try(A, b, x)
         while reason < 0 and self._mumps_wants_memory():
             workspace = 2 * self._options.getInt(_WORKSPACE)
@@ -198,21 +235,39 @@ class LinearSolver:
                 "Dirichlet conditions, and that equal-order pressure is stabilized"
             )
 
-    def _iterate(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> bool:
+    def _iterate(
+        self,
+        A: PETSc.Mat,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        rtol: float,
+        products: Products | None,
+        is_large: bool,
+    ) -> bool:
         """Whether GMRES has solved the system."""
-        if self._krylov is None:
-            self._krylov, _ = _create(self._comm, KRYLOV, None)
-        ksp = self._krylov
+        method = "GMRES + " + ("ILU(0)" if is_large else "mumps")
+        if method not in self._krylov:
+            self._krylov[method], _ = _create(self._comm, KRYLOV if is_large else NEAR, None)
+        ksp = self._krylov[method]
         self._scale = A.getDiagonal()
         diagonal = np.abs(self._scale.array_r)
         self._scale.array_w[:] = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
         ksp.setTolerances(rtol=rtol)
         if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
             ksp.reset()
-        ksp.setOperators(A)
+        # factors of MUMPS serve as long as they do not take many more iterations
+        reuses = not is_large and 0 < self.iterations <= 1.5 * self._fresh_iterations + 2
+        ksp.getPC().setReusePreconditioner(reuses)
+        operator = A if products is None else products.operator(A)
+        ksp.setOperators(operator, A)
         ksp.solve(b, x)
         reason, self.iterations = ksp.getConvergedReason(), ksp.getIterationNumber()
-        self.method = "GMRES + ILU(0)"
+        if not reuses:
+            self._fresh_iterations = self.iterations
+        if products is not None:
+            ksp.setOperators(A)
+            operator.destroy()
+        self.method = method
         if reason > 0 and np.isfinite(x.norm()):
             logger.info("GMRES: %d iterations for a reduction of %.0e", self.iterations, rtol)
             return True

@@ -22,6 +22,7 @@ from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 from fenicsmpm.solvers.places import dof_positions, parts_of, sizes_of_cells
 from fenicsmpm.solvers.pressure_level import require_pressure_level
+from fenicsmpm.solvers.projected_tangent import ProjectedTangent
 from fenicsmpm.solvers.stopwatch import Stopwatch
 from fenicsmpm.solvers.supports import require_supports
 
@@ -142,6 +143,7 @@ class NewtonSolver:
         self.line_search = line_search
         self.tying = tying
         mesh = self.J.mesh
+        self._projected = ProjectedTangent(R, U, tying)
         self.linear = LinearSolver(mesh.comm, petsc_options, dim=mesh.geometry.dim)
         self._parts = parts_of(U.function_space)
         self._least = sizes_of_cells(U.function_space, self._parts)
@@ -248,7 +250,8 @@ class NewtonSolver:
                     self._is_new = False
             try:
                 with result.seconds("linear solver"):
-                    self.linear.solve(A, self._b, self._step, _forcing(norm, tolerance))
+                    products = self._projected if self._projected else None
+                    self.linear.solve(A, self._b, self._step, _forcing(norm, tolerance), products)
                     first_scaled = max(first_scaled, self.linear.scaled_norm(self._b) or 0.0)
                     if self.tying is not None:
                         self.tying.extend(self._step)
@@ -297,6 +300,9 @@ class NewtonSolver:
         length = 1.0
         while True:
             self.U.x.array[:] = old - length * step
+            if length == 1.0:  # what the linear solver leaves must not look like new data
+                for bc in self.bcs:
+                    _compat.bc_set(bc, self.U.x.array, None, 1.0)
             new = self._residual_norm()
             good = np.isfinite(new)
             if self.line_search:
@@ -315,16 +321,15 @@ class NewtonSolver:
                     result.residuals,
                 )
         self._require_finite(new, result, f"in iteration {result.iterations + 1}")
-        if length == 1.0:
-            for bc in self.bcs:  # round-off of the linear solver must not look like new data
-                _compat.bc_set(bc, self.U.x.array, None, 1.0)
         return new, length
 
     def _tangent(self) -> PETSc.Mat:
         """Assemble the tangent; if nodes are tied, b is lifted by the way."""
-        if self.tying is None:
-            return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
-        return self.tying.reduce(forms.petsc.assemble_matrix(self.J, A=self._A), self._b)
+        with self._projected.held():
+            self._projected.assemble(self.bcs)
+            if self.tying is None:
+                return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
+            return self.tying.reduce(forms.petsc.assemble_matrix(self.J, A=self._A), self._b)
 
     def _lifted_norm(self) -> float:
         """Norm of R less J (g - U), for a step that ends on the Dirichlet data."""
@@ -415,6 +420,8 @@ class NewtonSolver:
         if lifted:
             with b.localForm() as local:
                 forms.apply_lifting(local.array_w, [self.J], [self.bcs], [self.U.x.array], -1.0)
+                if self._projected:
+                    self._projected.lift(local.array_w, self.bcs)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if self.tying is not None:
             self.tying.restrict(b)
@@ -447,9 +454,10 @@ def _forcing(norm: float, tolerance: float) -> float:
     """Tolerance of a linear system in an inexact Newton method.
 
     Three systems solved to 1e-4 are as good as three exact ones to the usual end, and take half the
-    iterations; the last one need not go below what is wanted.
+    iterations. What is nearly at the end is brought there at once, and not below.
     """
-    return max(1e-4, min(0.1, 0.3 * tolerance / norm)) if norm > 0 else 1e-4
+    wanted = 0.3 * tolerance / norm if norm > 0 else 0.0
+    return min(0.1, wanted) if wanted > 1e-6 else 1e-4
 
 
 def _is_near(

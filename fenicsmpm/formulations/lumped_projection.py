@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""Projection of what points have to the grid, as a coefficient of UFL forms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+
+from fenicsmpm import forms
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.transfer.points_to_grid import p2g
+
+
+class LumpedProjection(fem.Function):
+    """Lumped projection of UFL over points: sum_p N_I(x_p) V_p f_p / sum_p N_I(x_p) V_p, P1.
+
+    It is up to date whenever a form with it is assembled. If f depends on the unknown, so does the
+    projection, and ``NewtonSolver`` takes that into the tangent; ``ufl.derivative`` alone does not
+    see it. Nodes without points have zero.
+
+    Args:
+        points: material points with volumes V_p as weights [m^d].
+        expression: f, a scalar or vector, which may have the unknown and fields of the points.
+
+    Attributes:
+        points: as above.
+        sums: UFL of the sums, rank 1.
+        is_held: whether it stays as it is, while nothing changes that it depends on.
+
+    Raises:
+        ValueError: for a tensor, or if f has another projection in it.
+    """
+
+    def __init__(self, points: MaterialPoints, expression: Any) -> None:
+        """Compile the sums (collective)."""
+        expression = ufl.as_ufl(expression)
+        shape = expression.ufl_shape
+        if len(shape) > 1:
+            raise ValueError(f"a scalar or a vector is projected, not a tensor of shape {shape}")
+        space = fem.functionspace(points.mesh, ("Lagrange", 1, shape) if shape else ("Lagrange", 1))
+        super().__init__(space, name="projection")
+        self.points = points
+        self.sums = ufl.inner(expression, ufl.TestFunction(space)) * points.dx
+        if any(isinstance(c, LumpedProjection) for c in self.sums.coefficients()):
+            raise ValueError("a projection cannot have another projection in it")
+        self._compiled = forms.form(self.sums)
+        self.is_held = False
+
+    def volumes(self) -> la.Vector:
+        """Of the points at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""
+        scalar = self.function_space
+        return p2g(self.points, self.points.weight, scalar)
+
+    def follow_points(self) -> None:
+        """Project anew, unless held; forms do it before each use (collective)."""
+        if self.is_held:
+            return
+        sums = forms.assemble_vector(self._compiled)
+        sums.scatter_reverse(la.InsertMode.add)
+        sums.scatter_forward()
+        volume = self.volumes().array[:, None]
+        values = sums.array.reshape(len(volume), -1)
+        result = self.x.array.reshape(values.shape)
+        result[:] = np.divide(values, volume, out=np.zeros_like(values), where=volume > 0)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: MIT
+"""What projections that depend on the unknown add to the tangent, without a matrix of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+
+from fenicsmpm import _compat, forms
+from fenicsmpm._garbage import lasting
+from fenicsmpm.formulations.lumped_projection import LumpedProjection
+
+if TYPE_CHECKING:
+    from fenicsmpm.cells import Tying
+
+
+class ProjectedTangent:
+    """The share B D^-1 C of projections Pi = D^-1 s(U) in the tangent of a residual R(U, Pi).
+
+    B is the derivative of R in Pi, C that of the sums s in U, and D has the volumes of the nodes.
+    The product couples nodes over two cells, so it is applied factor by factor.
+
+    Args:
+        R: residual, UFL.
+        U: the unknown in it.
+        tying: takes nodes of little mass out of the system.
+    """
+
+    def __init__(self, R: ufl.Form, U: fem.Function, tying: Tying | None) -> None:
+        """Compile the factors (collective)."""
+        self._tying, self._U = tying, U
+        self._all = []
+        for c in R.coefficients():
+            if isinstance(c, LumpedProjection) and U in c.sums.coefficients():
+                trial = ufl.TrialFunction(c.function_space)
+                pair = ufl.derivative(R, c, trial), ufl.derivative(c.sums, U)
+                self._all.append(_Factors(c, *(forms.form(form) for form in pair)))
+        self._mask: PETSc.Vec | None = None
+
+    def __bool__(self) -> bool:
+        """Whether there is any such projection."""
+        return bool(self._all)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep projections as they are while a tangent is assembled where the residual was."""
+        for factors in self._all:
+            factors.projection.is_held = True
+        try:
+            yield
+        finally:
+            for factors in self._all:
+                factors.projection.is_held = False
+
+    def assemble(self, bcs: Sequence[fem.DirichletBC]) -> None:
+        """Assemble the factors for U as it is (collective).
+
+        Args:
+            bcs: Dirichlet conditions, whose rows and columns are left out.
+        """
+        if not self._all:
+            return
+        for factors in self._all:
+            factors.assemble()
+        if self._mask is None:
+            self._mask, self._work, self._free = (self._all[0].B.createVecLeft() for _ in range(3))
+        mask: npt.NDArray[np.float64] = np.ones(len(self._mask.array_r))
+        for bc in bcs:
+            _compat.bc_set(bc, mask, np.zeros(len(mask)), 0.0)
+        if self._tying is not None:
+            mask[self._tying.tied_dofs] = 0.0
+        self._mask.array_w[:] = mask
+
+    def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Compute y = B D^-1 C x on what is neither constrained nor tied (collective)."""
+        assert self._mask is not None
+        self._free.pointwiseMult(x, self._mask)
+        if self._tying is None:
+            self.mult_all(self._free, y)
+        else:
+            self._tying.product(_Product(self), self._free, y)
+        y.pointwiseMult(y, self._mask)
+
+    def mult_all(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Compute y = B D^-1 C x without regard to conditions and tied nodes (collective)."""
+        y.set(0.0)
+        for factors in self._all:
+            factors.add(x, y)
+
+    def lift(self, b: npt.NDArray[np.float64], bcs: Sequence[fem.DirichletBC]) -> None:
+        """Add B D^-1 C (g - U) at constrained values g to owned entries of b (collective).
+
+        Args:
+            b: local array of a residual.
+            bcs: Dirichlet conditions.
+        """
+        x = self._U.x.array
+        gap = np.zeros(len(x))
+        for bc in bcs:
+            _compat.bc_set(bc, gap, x, 1.0)
+        self._free.array_w[:] = gap[: len(self._free.array_r)]
+        self.mult_all(self._free, self._work)
+        b[: len(self._work.array_r)] += self._work.array_r
+
+    def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
+        """A + B D^-1 C as a new matrix, for direct solvers (collective).
+
+        Args:
+            A: the rest of the tangent.
+        """
+        assert self._mask is not None
+        result = self._all[0].product()
+        for factors in self._all[1:]:
+            more = factors.product()
+            result.axpy(1.0, more)
+            more.destroy()
+        if self._tying is not None:
+            untied = result
+            result = self._tying.transformed(untied)
+            untied.destroy()
+        result.diagonalScale(self._mask, self._mask)
+        result.axpy(1.0, A)
+        return result
+
+    def operator(self, A: PETSc.Mat) -> PETSc.Mat:
+        """A + B D^-1 C by its products, which follow a scaling of A (collective).
+
+        Args:
+            A: the rest of the tangent.
+        """
+        return PETSc.Mat().createPython(
+            A.getSizes(), _Sum(A, self), lasting(self._U.x.index_map.comm)
+        )
+
+
+class _Factors:
+    """B, D^-1 and C of one projection."""
+
+    def __init__(self, projection: LumpedProjection, B: forms.Form, C: forms.Form) -> None:
+        self.projection, self._forms = projection, (B, C)
+        self._versions: Any = None
+        self.B, self.C, self._D, self._sums = PETSc.Mat(), PETSc.Mat(), PETSc.Vec(), PETSc.Vec()
+
+    def assemble(self) -> None:
+        versions = [form.versions for form in self._forms]
+        if versions != self._versions:
+            self._versions = versions
+            for old in (self.B, self.C, self._D, self._sums):
+                old.destroy()
+            self.B, self.C = (forms.petsc.create_matrix(f, compact=True) for f in self._forms)
+            self._D, self._sums = (self.C.createVecLeft() for _ in range(2))
+        for form, matrix in zip(self._forms, (self.B, self.C), strict=True):
+            forms.petsc.assemble_matrix(form, A=matrix)
+        volume = self.projection.volumes().array
+        inverse = np.divide(1.0, volume, out=np.zeros_like(volume), where=volume > 0)
+        owned = len(self._D.array_r)
+        self._D.array_w[:] = np.repeat(inverse, self.projection.function_space.dofmap.bs)[:owned]
+
+    def add(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self.C.mult(x, self._sums)
+        self._sums.pointwiseMult(self._sums, self._D)
+        self.B.multAdd(self._sums, y, y)
+
+    def product(self) -> PETSc.Mat:
+        scaled = self.C.copy()
+        scaled.diagonalScale(self._D)
+        result = self.B.matMult(scaled)
+        scaled.destroy()
+        return result
+
+
+class _Product:
+    """B D^-1 C as what ``Tying.product`` multiplies."""
+
+    def __init__(self, projected: ProjectedTangent) -> None:
+        self._projected = projected
+
+    def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self._projected.mult_all(x, y)
+
+
+class _Sum:
+    """A + B D^-1 C for PETSc, in which GMRES scales rows and columns of A itself."""
+
+    def __init__(self, A: PETSc.Mat, projected: ProjectedTangent) -> None:
+        self._A, self._projected = A, projected
+        self._scale, self._scaled, self._more = (A.createVecLeft() for _ in range(3))
+        self._scale.set(1.0)
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        self._A.mult(x, y)
+        self._scaled.pointwiseMult(x, self._scale)
+        self._projected.mult(self._scaled, self._more)
+        self._more.pointwiseMult(self._more, self._scale)
+        y.axpy(1.0, self._more)
+
+    def diagonalScale(self, mat: PETSc.Mat, left: PETSc.Vec, right: PETSc.Vec) -> None:
+        self._scale.pointwiseMult(self._scale, left)
+
+    def destroy(self, mat: PETSc.Mat) -> None:
+        for vector in (self._scale, self._scaled, self._more):
+            vector.destroy()
