@@ -91,7 +91,7 @@ def test_loops_record_the_beginning_and_each_step(explicit, directory):
     gravity = (0.0, -2.0)
     columns = {"v_y [m/s]": lambda sim: diagnostics.momentum(body)[1] / 6.0}
     history = io.History(columns, directory / "fall.csv")
-    series = io.Series(directory / "fall.pvd", body, every=0.1)
+    series = io.Series(directory / "fall.vtkhdf", body, every=0.1)
     options = {"observers": [history, series], "on_exit": "delete"}
     if explicit:
         R = body_force(z.test.v, body, gravity)

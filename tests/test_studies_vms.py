@@ -86,7 +86,7 @@ def test_columns(name, component, share, tied, columns, tmp_path, monkeypatch):
     assert error < share * np.abs(np.array(expected)[:, t <= 0.02]).max()
     assert history["energy [J]"][-1] <= history["energy [J]"][0]
     assert body["J"].mean() == pytest.approx(1.0, abs=0.01)
-    assert (tmp_path / "output" / "column.pvd").exists()
+    assert (tmp_path / "output" / "column.vtkhdf").exists()
 
 
 def test_restart(columns, tmp_path, monkeypatch):

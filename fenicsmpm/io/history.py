@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 import fenicsmpm
 from fenicsmpm.io.atomic import replacing
-from fenicsmpm.io.series import is_until
+from fenicsmpm.io.times import is_until
 from fenicsmpm.points.agreement import do_there
 from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.step import Step

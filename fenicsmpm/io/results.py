@@ -45,10 +45,24 @@ def gather_points(
     if not isinstance(points, MaterialPoints):
         first, *others = [gather_points(one) for one in points]
         return first if first is None or not others else first.append_polydata(*others)
-    names = ["x", "id", "tag", "weight", *points.field_names]
+    names = ["x", *names_of_points([points])]
     comm = points.mesh.comm
     parts = comm.gather({name: np.asarray(points[name]) for name in names})
     return do_there(comm, parts is not None, lambda: _point_cloud(names, parts or []))
+
+
+def names_of_points(bodies: Sequence[MaterialPoints]) -> list[str]:
+    """What all sets of points have to show beside positions.
+
+    Laws without state have a field without numbers, which VTK does not know.
+    """
+    first, *others = bodies
+    fields = [
+        name
+        for name in first.field_names
+        if all(name in body for body in others) and math.prod(first.field_shape(name)) > 0
+    ]
+    return ["id", "tag", "weight", *fields]
 
 
 def _point_cloud(names: list[str], parts: list[dict[str, npt.NDArray]]) -> pyvista.PolyData:
@@ -56,10 +70,10 @@ def _point_cloud(names: list[str], parts: list[dict[str, npt.NDArray]]) -> pyvis
 
     data = {name: np.concatenate([part[name] for part in parts]) for name in names}
     order = np.argsort(data["id"])
-    result = pyvista.PolyData(_in_space(data.pop("x")[order]))
+    result = pyvista.PolyData(in_space(data.pop("x")[order]))
     for name, values in data.items():
-        if values.size > 0:  # pyvista takes no empty arrays; laws without state have such a field
-            result.point_data[name] = _in_space(values[order])
+        if values.size > 0:  # pyvista takes no empty arrays
+            result.point_data[name] = in_space(values[order])
     return result
 
 
@@ -77,13 +91,13 @@ def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredG
     Raises:
         ValueError: for other spaces, several meshes, or names that occur twice.
     """
-    mesh = _check_functions(functions)
+    mesh = check_functions(functions)
     nodes = mesh.geometry.input_global_indices
     cells, types, x = plot.vtk_mesh(mesh)
     cells = cells.reshape(len(types), -1).astype(np.int64)
     cells[:, 1:] = nodes[cells[:, 1:]]
     order = np.asarray(mesh.topology.original_cell_index)[: len(types)]
-    values = {f.name: _at_nodes(f) for f in functions}
+    values = {f.name: at_nodes(f) for f in functions}
     parts = mesh.comm.gather((nodes, x, order, cells, types, values))
     return do_there(mesh.comm, parts is not None, lambda: _grid(list(values), parts or []))
 
@@ -99,7 +113,7 @@ def _grid(names: list[str], parts: list[tuple[Any, ...]]) -> pyvista.Unstructure
     cells[:, 1:] = np.searchsorted(nodes, cells[:, 1:])
     result = pyvista.UnstructuredGrid(cells.ravel(), types[by_input], x[first])
     for name in names:
-        result.point_data[name] = _in_space(np.concatenate([v[name] for v in columns[5]])[first])
+        result.point_data[name] = in_space(np.concatenate([v[name] for v in columns[5]])[first])
     return result
 
 
@@ -153,7 +167,8 @@ def _bytes_of(data: pyvista.DataSet, suffix: str) -> bytes:
     return text if isinstance(text, bytes) else text.encode("latin-1")
 
 
-def _check_functions(functions: Sequence[fem.Function]) -> Any:
+def check_functions(functions: Sequence[fem.Function]) -> Any:
+    """The mesh of functions, or a ValueError as of ``gather_functions``."""
     if not functions:
         raise ValueError("no functions to gather")
     mesh = functions[0].function_space.mesh
@@ -174,7 +189,7 @@ def _check_functions(functions: Sequence[fem.Function]) -> Any:
     return mesh
 
 
-def _at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
+def at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
     """Values at the local geometry nodes, (n_nodes, *shape)."""
     space = f.function_space
     nodes = _compat.geometry_dofmap(space.mesh)
@@ -184,8 +199,8 @@ def _at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
     return values.reshape(-1, *f.ufl_shape)
 
 
-def _in_space(values: npt.NDArray) -> npt.NDArray:
-    """Vectors and tensors of the plane as those of space, tensors flattened."""
+def in_space(values: npt.NDArray) -> npt.NDArray:
+    """Vectors and tensors of the plane as those of space, (n, 3), tensors flattened, (n, 9)."""
     for axis in range(1, values.ndim):
         if values.shape[axis] == 2:
             values = np.insert(values, 2, 0.0, axis=axis)

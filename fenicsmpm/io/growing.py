@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT
+"""Arrays in an HDF5 file that all ranks append to, without an HDF5 that knows of MPI.
+
+Rank 0 makes the arrays longer and says where in the file their new rows are; each rank puts its own
+rows there by plain writes. HDF5 itself never writes to the disk: it crashes when it cannot, and
+does not care in which order what it changes gets there.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+LEAST_CHUNK, LARGEST_CHUNK = 1024, 2**22  # rows; HDF5 takes no chunks of 4 GB
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where rows of an array are in the file.
+
+    Attributes:
+        dtype: of the numbers in the file.
+        chunk: rows of a chunk.
+        first: number of the first chunk that is listed.
+        addresses: where chunks begin in the file [bytes].
+    """
+
+    dtype: np.dtype
+    chunk: int
+    first: int
+    addresses: list[int]
+
+    def write(self, descriptor: int, begin: int, rows: npt.NDArray) -> None:
+        """Put rows where they belong.
+
+        Args:
+            descriptor: of the file, open for writing.
+            begin: row of the array that is the first one of these.
+            rows: shape (n,) or (n, width).
+
+        Raises:
+            OSError: if they cannot be written.
+        """
+        rows = np.ascontiguousarray(rows, self.dtype)
+        done = 0
+        while done < len(rows):
+            number, offset = divmod(begin + done, self.chunk)
+            part = rows[done : done + self.chunk - offset]
+            address = self.addresses[number - self.first] + offset * rows[:1].nbytes
+            _write(descriptor, address, memoryview(part).cast("B"))
+            done += len(part)
+
+
+def add_array(group: Any, name: str, dtype: npt.DTypeLike, width: int | None, rows: int) -> None:
+    """Make an array without rows.
+
+    Args:
+        group: of h5py, where it is to be.
+        name: of the array.
+        dtype: of its numbers.
+        width: numbers in a row; None for an array of one dimension.
+        rows: how many are appended at a time, about.
+    """
+    import h5py
+
+    own = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    own.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)  # a chunk has its place before it is written
+    own.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    row = () if width is None else (width,)
+    chunk = min(max(rows, LEAST_CHUNK), LARGEST_CHUNK)
+    group.create_dataset(
+        name, (0, *row), dtype, chunks=(chunk, *row), maxshape=(None, *row), dcpl=own
+    )
+
+
+def extend(path: Path, begins: Mapping[str, int], ends: Mapping[str, int]) -> dict[str, Place]:
+    """Give arrays the lengths that they will have (on one rank).
+
+    Args:
+        path: the file.
+        begins: for each array the rows that stay.
+        ends: its new length.
+
+    Returns:
+        Where the rows in between are to be written.
+
+    Raises:
+        OSError: if there is no room; the file is as it was.
+    """
+    places = {}
+    with edit(path) as file:
+        for name, end in ends.items():
+            array = file[name]
+            array.resize(end, axis=0)
+            chunk, *_ = array.chunks
+            first = begins[name] // chunk
+            corners = [(k * chunk, *[0] * (array.ndim - 1)) for k in range(first, -(-end // chunk))]
+            addresses = [array.id.get_chunk_info_by_coord(c).byte_offset for c in corners]
+            places[name] = Place(array.dtype, chunk, first, addresses)
+    return places
+
+
+@contextmanager
+def edit(path: Path, downwards: bool = False) -> Iterator[Any]:
+    """Open a file with h5py; what is changed gets to the disk at the end.
+
+    Args:
+        path: the file.
+        downwards: what has been made first in the file changes last. Otherwise it changes first,
+            which is right where arrays get new chunks: HDF5 keeps the chunks of an array in a tree.
+            A node that is full is split: half of its entries go to a new node, and the node above,
+            which has a lower address as long as there are two levels (2000 chunks), is to point
+            there before the entries are taken from the old one.
+
+    Yields:
+        The file of h5py. After an exception nothing is changed.
+
+    Raises:
+        OSError: if there is no room; the file is as it was.
+    """
+    import h5py
+
+    with open(path, "r+b", buffering=0) as disk:
+        changes = _Changes(disk)
+        with h5py.File(changes, "r+") as file:
+            yield file
+        changes.save(downwards)
+
+
+class _Changes(io.RawIOBase):
+    """A file as HDF5 sees it: what is on the disk, and above it what has been changed.
+
+    Additions at the end are saved first, as nothing points to them yet. Changes that are near to
+    one another are one write, so that the disk has all or none of them.
+    """
+
+    PAGE = 4096
+
+    def __init__(self, disk: BinaryIO) -> None:
+        self._disk, self._at = disk, 0
+        self._size = self._size_on_disk = os.fstat(disk.fileno()).st_size
+        self._pages: dict[int, bytearray] = {}
+        self._changed: list[tuple[int, int]] = []
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        for part, page, offset in self._parts(len(view)):
+            view[part] = page[offset : offset + part.stop - part.start]
+        return len(view)
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data).cast("B")
+        begin = self._at
+        for part, page, offset in self._parts(len(view)):
+            page[offset : offset + part.stop - part.start] = view[part]
+        self._changed.append((begin, self._at))
+        self._size = max(self._size, self._at)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        self._size = self._at if size is None else size
+        return self._size
+
+    def save(self, downwards: bool) -> None:
+        """Let the disk have what was changed; see ``edit``."""
+        descriptor = self._disk.fileno()
+        more = self._size - self._size_on_disk
+        if more > 0:
+            try:
+                os.posix_fallocate(descriptor, self._size_on_disk, more)
+            except OSError:
+                os.ftruncate(descriptor, self._size_on_disk)
+                raise
+        old: list[tuple[int, int]] = []
+        new: list[tuple[int, int]] = []
+        for begin, end in sorted(self._changed):
+            some = new if begin >= self._size_on_disk else old
+            if some and begin <= some[-1][1] + self.PAGE:
+                begin, end = some[-1][0], max(end, some.pop()[1])
+            some.append((begin, end))
+        for begin, end in (*new, *(reversed(old) if downwards else old)):
+            self._at, content = begin, bytearray(end - begin)
+            self.readinto(content)
+            _write(descriptor, begin, memoryview(content))
+
+    def _parts(self, size: int) -> Iterator[tuple[slice, bytearray, int]]:
+        """Parts of so many bytes from here on that are in one page each: slice, page, offset."""
+        done = 0
+        while done < size:
+            number, offset = divmod(self._at, self.PAGE)
+            if number not in self._pages:
+                found = os.pread(self._disk.fileno(), self.PAGE, number * self.PAGE)
+                self._pages[number] = bytearray(found.ljust(self.PAGE, b"\0"))
+            n = min(size - done, self.PAGE - offset)
+            yield slice(done, done + n), self._pages[number], offset
+            done, self._at = done + n, self._at + n
+
+
+def _write(descriptor: int, address: int, content: memoryview) -> None:
+    while content:  # the system takes 2 GB at most
+        written = os.pwrite(descriptor, content, address)
+        address, content = address + written, content[written:]

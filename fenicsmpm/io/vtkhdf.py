@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: MIT
+"""Grids with values at several times in one file: VTK's format on HDF5, written by all ranks.
+
+It is VTKHDF 2.0 with an UnstructuredGrid and the group Steps
+(https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format): all values of a field are one
+array, and tables say where those of a time begin. Each time has one part, so that readers of all
+versions give one grid, and what is read does not depend on the number of ranks. Points are cells
+with one vertex and not VTK's PolyData, in which VTK 9.7 loses its way after a time without points.
+
+A time is written in three stages: arrays are made longer, ranks put their rows there, and last come
+the tables and the number of times. Who reads the file goes by the tables, so a program can be
+killed, and a disk be full, at any stage: the times before can be read.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, TypeAlias
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import fenicsmpm
+from fenicsmpm.io.growing import add_array, edit, extend
+from fenicsmpm.io.times import is_until
+from fenicsmpm.points.agreement import do_there
+
+ROOT, FIELDS, STEPS = "VTKHDF", "VTKHDF/PointData", "VTKHDF/Steps"
+FIELD_OFFSETS, PARAMETER_OFFSETS = f"{STEPS}/PointDataOffsets", f"{STEPS}/FieldDataOffsets"
+POINTS, TYPES = f"{ROOT}/Points", f"{ROOT}/Types"
+OFFSETS, CONNECTIVITY = f"{ROOT}/Offsets", f"{ROOT}/Connectivity"
+PARTS = tuple(f"{ROOT}/NumberOf{name}" for name in ("Points", "Cells", "ConnectivityIds"))
+
+Rows: TypeAlias = Mapping[str, npt.NDArray]
+
+
+@dataclass
+class Cells:
+    """Cells that a rank contributes to a grid.
+
+    Attributes:
+        nodes: their points, as rows of those of all ranks, rank after rank, shape
+            (n_cells, n_nodes).
+        kind: VTK's number of their type.
+    """
+
+    nodes: npt.NDArray[np.int64]
+    kind: int
+
+
+@dataclass
+class _Step:
+    """Where the arrays of a time begin in the file, and how long they are."""
+
+    part: int = -1
+    point: int = 0
+    cell: int = 0
+    connectivity: int = 0
+    value: int = 0
+    n_points: int = 0
+    n_cells: int = 0
+    n_connectivity: int = 0
+
+
+class GridFile:
+    """A file to which ranks append what they have of a grid, time after time.
+
+    Args:
+        path: name of the file; missing directories are made.
+        parameters: numbers and texts to be stored in it, beside the package's version.
+
+    Attributes:
+        times: that are in the file, or are kept of an earlier one [s].
+        names: of the fields of an earlier file, of which times are kept.
+    """
+
+    def __init__(self, path: Path, parameters: Mapping[str, Any]) -> None:
+        """Nothing is written before the first time."""
+        self._path, self._parameters = path, {"fenicsmpm version": fenicsmpm.__version__}
+        self._parameters.update(parameters)
+        self._is_there, self._must_cut = False, False
+        self._last = _Step()
+        self.times: list[float] = []
+        self.names: list[str] = []
+
+    def resume(self, comm: MPI.Intracomm, end: float) -> None:
+        """Go on with what is there (collective); nothing changes before the next time is written.
+
+        Args:
+            comm: communicator of the ranks.
+            end: times until this one are kept [s].
+
+        Raises:
+            OSError: on all ranks, if the file cannot be read.
+            ValueError: on all ranks, if it has not been written by this class.
+        """
+        found = do_there(comm, comm.rank == 0, lambda: self._read(end))
+        self.times, self.names, self._last = comm.bcast(found)
+        self._is_there = self._must_cut = bool(self.times)
+
+    def append(
+        self,
+        comm: MPI.Intracomm,
+        time: float,
+        x: npt.NDArray[np.float64] | None,
+        cells: Cells | None,
+        fields: Rows,
+    ) -> None:
+        """Append what all ranks have at a time (collective).
+
+        Args:
+            comm: communicator of the ranks.
+            time: [s], later than the last one.
+            x: positions of this rank's points, shape (n, 3) [m]; None on all ranks: those of the
+                time before.
+            cells: of this rank; None on all ranks: those of the time before.
+            fields: values at this rank's points by name, shape (n,) or (n, width).
+
+        Raises:
+            OSError: on all ranks, if it cannot be written; the times before are as they were.
+            ValueError: on all ranks, if the file has other fields.
+        """
+        target = self._path if self._is_there else self._path.with_name(self._path.name + ".tmp")
+        try:
+            step = self._append(comm, target, time, x, cells, fields)
+        except OSError as failure:
+            raise OSError(
+                failure.errno,
+                f"t = {time:g} s could not be written, what was there before is as it was: "
+                f"{failure.strerror or failure}; make room or choose another path",
+                str(self._path),
+            ) from failure
+        finally:
+            if comm.rank == 0 and target != self._path:
+                target.unlink(missing_ok=True)
+        self._is_there, self._must_cut, self._last = True, False, step
+        self.times.append(time)
+
+    def _append(
+        self,
+        comm: MPI.Intracomm,
+        target: Path,
+        time: float,
+        x: npt.NDArray[np.float64] | None,
+        cells: Cells | None,
+        fields: Rows,
+    ) -> _Step:
+        own = {f"{FIELDS}/{plain(name)}": values for name, values in fields.items()}
+        if x is not None:
+            own[POINTS] = x
+        if cells is not None:
+            own |= _topology(comm, cells)
+        counts = np.array(comm.allgather([len(rows) for rows in own.values()]))
+        totals = dict(zip(own, counts.sum(axis=0).tolist(), strict=True))
+        before = dict(zip(own, counts[: comm.rank].sum(axis=0).tolist(), strict=True))
+        step = self._next(totals)
+        begins = {name: _begin(name, step) for name in own}
+
+        def make_room() -> Any:
+            if not self._is_there:
+                self._create(target, own, totals)
+            self._check(target, own)
+            if self._must_cut:
+                self._cut(target)
+            ends = {name: begins[name] + totals[name] for name in own}
+            return extend(target, begins, ends)
+
+        places = comm.bcast(do_there(comm, comm.rank == 0, make_room))
+
+        def put() -> None:
+            descriptor = os.open(target, os.O_WRONLY)
+            try:
+                for name, rows in own.items():
+                    places[name].write(descriptor, begins[name] + before[name], rows)
+            finally:
+                os.close(descriptor)
+
+        do_there(comm, True, put)
+        do_there(comm, comm.rank == 0, lambda: self._commit(target, time, step))
+        return step
+
+    def _next(self, totals: Mapping[str, int]) -> _Step:
+        """Where a time begins that appends so many rows."""
+        last = self._last
+        step = _Step(**vars(last))
+        step.value += last.n_points
+        if POINTS in totals:
+            step.point += last.n_points
+            step.n_points = totals[POINTS]
+        if TYPES in totals:
+            step.part += 1
+            step.cell += last.n_cells
+            step.connectivity += last.n_connectivity
+            step.n_cells = totals[TYPES]
+            step.n_connectivity = totals[CONNECTIVITY]
+        return step
+
+    def _create(self, path: Path, own: Rows, totals: Mapping[str, int]) -> None:
+        """Make a file without times. By what stands first readers know of a time."""
+        import h5py
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = io.BytesIO()
+        with h5py.File(content, "w") as file:
+            root = file.create_group(ROOT)
+            root.attrs["Version"] = np.array([2, 0])
+            root.attrs.create("Type", np.bytes_("UnstructuredGrid"))
+            file.create_group(STEPS).attrs["NSteps"] = 0
+            add_array(file, f"{STEPS}/Values", np.float64, None, 0)
+            for name in PARTS:
+                add_array(file, name, np.int64, None, 0)
+            names = [name.removeprefix(f"{FIELDS}/") for name in own if name.startswith(FIELDS)]
+            for group, linked in (
+                (FIELD_OFFSETS, names),
+                (PARAMETER_OFFSETS, [plain(name) for name in self._parameters]),
+            ):
+                first, *others = linked
+                add_array(file, f"{group}/{first}", np.int64, None, 0)
+                for name in others:  # one table under many names
+                    file[group][name] = file[group][first]
+            for name in ("PartOffsets", "NumberOfParts", "PointOffsets"):
+                add_array(file, f"{STEPS}/{name}", np.int64, None, 0)
+            for name in ("CellOffsets", "ConnectivityIdOffsets"):
+                add_array(file, f"{STEPS}/{name}", np.int64, 1, 0)
+            for name, value in self._parameters.items():
+                _add_parameter(file, plain(name), value)
+            for name, rows in own.items():
+                width = rows.shape[1] if rows.ndim > 1 else None
+                add_array(file, name, rows.dtype, width, totals[name])
+        path.write_bytes(content.getvalue())
+
+    def _check(self, path: Path, own: Rows) -> None:
+        """Raise ValueError unless the fields are those of the file."""
+        import h5py
+
+        with open(path, "rb") as stream, h5py.File(stream) as file:
+            there = {name: (data.dtype, data.shape[1:]) for name, data in file[FIELDS].items()}
+        prefix = f"{FIELDS}/"
+        here = {
+            name.removeprefix(prefix): (rows.dtype, rows.shape[1:])
+            for name, rows in own.items()
+            if name.startswith(prefix)
+        }
+        if there != here:
+            raise ValueError(
+                f"{self._path} has the fields {_said(there)}, not {_said(here)}: choose another "
+                "name for the series"
+            )
+
+    def _commit(self, target: Path, time: float, step: _Step) -> None:
+        """Let readers see the new time."""
+        number = len(self.times)
+        with edit(target, downwards=True) as file:
+            sizes = (step.n_points, step.n_cells, step.n_connectivity)
+            for name, size in zip(PARTS, sizes, strict=True):
+                _put(file[name], step.part, size)
+            _put(_any(file[FIELD_OFFSETS]), number, step.value)
+            _put(_any(file[PARAMETER_OFFSETS]), number, 0)
+            steps = file[STEPS]
+            _put(steps["PartOffsets"], number, step.part)
+            _put(steps["NumberOfParts"], number, 1)
+            _put(steps["PointOffsets"], number, step.point)
+            _put(steps["CellOffsets"], number, step.cell)
+            _put(steps["ConnectivityIdOffsets"], number, step.connectivity)
+            steps.attrs.modify("NSteps", number + 1)
+            _put(steps["Values"], number, time)
+        os.replace(target, self._path)
+
+    def _read(self, end: float) -> tuple[list[float], list[str], _Step]:
+        """Times that are kept, names of fields, and where the last time is."""
+        if not self._path.exists():
+            return [], [], _Step()
+        with open(self._path, "rb") as stream:
+            try:
+                return self._find(stream, end)
+            except (OSError, KeyError, IndexError, RuntimeError, TypeError, ValueError) as failure:
+                raise ValueError(f"{self._path} is no series: {failure}") from failure
+
+    @staticmethod
+    def _find(stream: BinaryIO, end: float) -> tuple[list[float], list[str], _Step]:
+        import h5py
+
+        with h5py.File(stream) as file:
+            steps = file[STEPS]
+            times = steps["Values"][: steps.attrs["NSteps"]].tolist()
+            kept = sum(is_until(time, end) for time in times)
+            if kept == 0:
+                return [], [], _Step()
+            last = _Step(
+                part=int(steps["PartOffsets"][kept - 1]),
+                point=int(steps["PointOffsets"][kept - 1]),
+                cell=int(steps["CellOffsets"][kept - 1, 0]),
+                connectivity=int(steps["ConnectivityIdOffsets"][kept - 1, 0]),
+                value=int(_any(file[FIELD_OFFSETS])[kept - 1]),
+            )
+            sizes = [int(file[name][last.part]) for name in PARTS]
+            last.n_points, last.n_cells, last.n_connectivity = sizes
+            return times[:kept], list(file[FIELDS]), last
+
+    def _cut(self, path: Path) -> None:
+        """Take later times from the tables."""
+        with edit(path) as file:
+            file[STEPS].attrs.modify("NSteps", len(self.times))
+            tables = [data for data in file[STEPS].values() if hasattr(data, "resize")]
+            for table in (*tables, _any(file[FIELD_OFFSETS]), _any(file[PARAMETER_OFFSETS])):
+                table.resize(len(self.times), axis=0)
+            for name in PARTS:
+                file[name].resize(self._last.part + 1, axis=0)
+
+
+def _topology(comm: MPI.Intracomm, cells: Cells) -> dict[str, npt.NDArray]:
+    """VTK's arrays of cells, as far as this rank has them (collective)."""
+    n, n_nodes = cells.nodes.shape
+    counts = comm.allgather(n)
+    begin = sum(counts[: comm.rank])
+    is_last = comm.rank == comm.size - 1
+    offsets = n_nodes * np.arange(begin, begin + n + is_last, dtype=np.int64)
+    return {
+        CONNECTIVITY: cells.nodes.ravel(),
+        OFFSETS: offsets,
+        TYPES: np.full(n, cells.kind, np.uint8),
+    }
+
+
+def _begin(name: str, step: _Step) -> int:
+    """The row of an array at which a time begins."""
+    return {
+        POINTS: step.point,
+        CONNECTIVITY: step.connectivity,
+        OFFSETS: step.cell + step.part,  # each part has one more than cells
+        TYPES: step.cell,
+    }.get(name, step.value)
+
+
+def _put(table: Any, number: int, value: float) -> None:
+    """Let a row be the last one of a table."""
+    table.resize(number + 1, axis=0)
+    table[number] = value
+
+
+def _any(group: Any) -> Any:
+    """The table that all names of a group stand for."""
+    return next(iter(group.values()))
+
+
+def _add_parameter(file: Any, name: str, value: Any) -> None:
+    import h5py
+
+    if isinstance(value, bool | int | float):
+        file[f"{ROOT}/FieldData/{name}"] = [
+            float(value) if isinstance(value, float) else int(value)
+        ]
+    else:  # VTK cannot read texts that say that they are UTF-8, but shows them right
+        text = h5py.string_dtype("ascii")
+        file.create_dataset(f"{ROOT}/FieldData/{name}", data=[str(value).encode()], dtype=text)
+
+
+def plain(name: str) -> str:
+    """A name without characters that HDF5 and VTK take for paths, as VTK's own writer does it."""
+    return name.replace("/", "_").replace(".", "_")
+
+
+def _said(fields: Mapping[str, tuple[np.dtype, tuple[int, ...]]]) -> str:
+    shapes = {name: shape for name, (_, shape) in fields.items()}
+    return ", ".join(f"{name} {list(shape)}" if shape else name for name, shape in shapes.items())
