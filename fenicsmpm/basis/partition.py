@@ -31,7 +31,23 @@ def shared_vertex_partitioner(comm: Any, n_parts: int, cell_types: Any, cells: A
         Adjacency list: ranks that get each cell, the owner first.
     """
     parts = _compat.cell_partitioner(GhostMode.none)(comm, n_parts, cell_types, cells)
-    owner = parts.array[parts.offsets[:-1]].astype(np.int64)
+    return with_vertex_ghosts(comm, parts.array[parts.offsets[:-1]], cells)
+
+
+def with_vertex_ghosts(comm: Any, owner: npt.NDArray[np.int32], cells: Any) -> Any:
+    """A distribution of cells in which each rank gets all that share a vertex with its own.
+
+    Collective.
+
+    Args:
+        comm: MPI communicator over which the cells are spread.
+        owner: rank that is to own each of this rank's cells, ``(n,)``.
+        cells: their vertices for each type, one only, int64, flat.
+
+    Returns:
+        Adjacency list: ranks that get each cell, the owner first.
+    """
+    owner = owner.astype(np.int64)
     n = len(owner)
     vertices = np.asarray(cells[0], dtype=np.int64).reshape(n, -1 if n else 1)
     pairs = np.stack([vertices, np.broadcast_to(owner[:, None], vertices.shape)], axis=-1)

@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+from mpi4py import MPI
+
+from fenicsmpm.points.agreement import do_there
 
 
 def replace(path: Path, content: bytes | memoryview) -> None:
@@ -59,4 +63,40 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         os.replace(unfinished, path)
     except BaseException:
         unfinished.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def replacing_together(comm: MPI.Intracomm, path: Path) -> Iterator[Path]:
+    """Have all ranks write a file beside another one that takes its place at the end (collective).
+
+    As ``replacing``; ranks may see the same file only. They agree on errors before they leave the
+    block, as after ``do_there``.
+
+    Args:
+        comm: communicator of the ranks.
+        path: file to be replaced or made; missing directories are made.
+
+    Yields:
+        The unfinished file, which rank 0 is to make.
+
+    Raises:
+        OSError: on all ranks, if the file cannot be made; ``path`` is as it was.
+    """
+    unfinished = path.with_name(path.name + ".tmp")
+
+    def make() -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+    def finish() -> None:
+        os.replace(unfinished, path)
+
+    try:
+        do_there(comm, comm.rank == 0, make)
+        yield unfinished
+        do_there(comm, comm.rank == 0, finish)
+    except BaseException:
+        if comm.rank == 0:
+            with suppress(OSError):
+                unfinished.unlink()
         raise

@@ -12,6 +12,9 @@ from fenicsmpm.points.location import Locator
 
 _TAG = 4703
 
+# Points of a rank that all others look for in their cells at a time
+_AT_A_TIME = 1 << 15
+
 
 class PointsOutsideError(ValueError):
     """Points that lie in no cell of the background mesh on any rank.
@@ -76,8 +79,11 @@ def find_cells(
     global_cell[found] = locator.geometry.global_index(cell[found])
     unsure = np.flatnonzero(~locator.is_sure(cell, xi))
     # Nothing more to do in most time steps: one reduction of one number.
-    if comm.allreduce(len(unsure)):
-        better = _find_elsewhere(comm, locator, x[unsure])
+    most = comm.allreduce(len(unsure), MPI.MAX)
+    if most:
+        # some at a time, since every rank looks at those of all
+        parts = np.array_split(unsure, -(-most // _AT_A_TIME))
+        better = np.concatenate([_find_elsewhere(comm, locator, x[part]) for part in parts])
         cell[unsure[better != global_cell[unsure]]] = -1
         global_cell[unsure] = better
         outside = np.flatnonzero(global_cell < 0)

@@ -6,6 +6,7 @@ from fenicsmpm.simulation.explicit import ExplicitMPM
 from fenicsmpm.simulation.implicit import ImplicitMPM
 from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.reaction import Reaction
+from fenicsmpm.simulation.rebalanced import Rebalanced, imbalance
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
@@ -17,8 +18,10 @@ __all__ = [
     "ImplicitMPM",
     "Observer",
     "Reaction",
+    "Rebalanced",
     "RigidBox",
     "Step",
     "StepAudit",
     "UnstableError",
+    "imbalance",
 ]
