@@ -13,19 +13,20 @@ import time
 
 from mpi4py import MPI
 
+import machine
 import numpy as np
 import typer
 import ufl
 from dolfinx import mesh
 
 from fenicsmpm import ImplicitMPM, formulations, io, points
-from fenicsmpm.cells import ActiveCells
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.materials import NeoHookean
 
 DENSITY, E, NU = 1000.0, 1e5, 0.5  # kg/m^3, Pa
 
 
-def block(n, waves, stabilization="asgs", nu=NU, options=None):
+def block(n, waves, stabilization="asgs", nu=NU, options=None, tied=False):
     """Block of 1 m, n cells along each side, in a mesh that is a quarter larger."""
     comm = MPI.COMM_WORLD
     domain = mesh.create_box(comm, [(0, 0, 0), (1.25, 1.25, 1.25)], [n + n // 4] * 3)
@@ -38,9 +39,13 @@ def block(n, waves, stabilization="asgs", nu=NU, options=None):
     gravity = ufl.as_vector((0.0, 0.0, -9.81 if waves < 2 else -0.3))
     force = scheme.force(body, gravity)
     R = formulations.stabilized(stabilization, z, body, law, force=force)
-    R += formulations.ghost_penalty(z, ActiveCells(body), law)
+    cells, newton = ActiveCells(body), {"petsc_options": options}
+    if tied:
+        newton["tying"] = Tying(z.space, body, cells)
+    else:
+        R += formulations.ghost_penalty(z, cells, law)
     z.fix("u", lambda x: np.isclose(x[2], 0))
-    return ImplicitMPM(R, z, scheme, body, newton={"petsc_options": options})
+    return ImplicitMPM(R, z, scheme, body, newton=newton)
 
 
 def main(
@@ -52,6 +57,7 @@ def main(
     nu: float = NU,
 ):
     """Time, iterations and memory of a step."""
+    io.say(machine.describe())
     columns = ("unknowns", "waves a step", "step [s]", "assembly [s]", "linear [s]", "Newton")
     formats = ("d", "g", ".2f", ".2f", ".2f", ".1f", "s", ".0f", ".0f")
     columns = (*columns, "linear solver", "iterations", "memory [MB]")

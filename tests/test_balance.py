@@ -251,7 +251,8 @@ def implicit(domain, way):
     z.fix("u", lambda x: np.isclose(x[1], 2), lambda t: (0.1 * t, 0.0))
     law, scheme, newton = NeoHookean(250.0, 0.5), fm.Bossak(z, dt=0.02), {"rtol": 1e-12}
     cells = ActiveCells(body, loads=[edge])
-    R = fm.stabilized("asgs", z, body, law, force=scheme.force(body))
+    name = "osgs" if way == "osgs" else "asgs"
+    R = fm.stabilized(name, z, body, law, force=scheme.force(body))
     R += fm.dead_load(z.test.u, edge, (0, 6.0))
     if way == "tying":
         newton["tying"] = Tying(z.space, body, cells)
@@ -261,7 +262,7 @@ def implicit(domain, way):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("way", ["ghost penalty", "tying", "quadratic"])
+@pytest.mark.parametrize("way", ["ghost penalty", "tying", "quadratic", "osgs"])
 def test_implicit_steps(way):
     kind = quadrilateral if way == "quadratic" else mesh.CellType.triangle
     partitioner = basis.shared_vertex_partitioner
@@ -334,6 +335,7 @@ def test_explicit_steps(build):
 def test_tags_and_observers_go_along(tmp_path):
     path = comm.bcast(tmp_path) / "block.csv"
     history = io.History({"x [m]": lambda sim: sim.bodies[0].bounds()[1][0]}, path)
+    series = io.Series(path.with_suffix(".vtkhdf"), lambda sim: sim.bodies[0], fields=["v"])
     known = []
 
     def build(domain, left, filled):
@@ -343,7 +345,7 @@ def test_tags_and_observers_go_along(tmp_path):
         z.fix("v", left.find(1))
         known.append([seen(domain, tags) for tags in (left, filled)])
         R = fm.internal_force(z.test.v, body, Hencky(10.0, 0.3))
-        return ExplicitMPM(R, z, body, dt=1e-2, observers=[history])
+        return ExplicitMPM(R, z, body, dt=1e-2, observers=[history, series])
 
     domain = mesh.create_unit_square(comm, 6, 6)
     domain.topology.create_connectivity(1, 2)
@@ -361,6 +363,7 @@ def test_tags_and_observers_go_along(tmp_path):
     assert all(one == known[0] for one in known) and len(known[0][0]) == 6
     assert len(history["x [m]"]) == len(io.read_history(path)["x [m]"]) == 11
     assert history["t [s]"] == pytest.approx(np.linspace(0, 0.1, 11))
+    assert series.times == pytest.approx(np.linspace(0, 0.1, 11))
 
 
 # --- when it is worth it --------------------------------------------------------------------------
