@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Preconditioners of GMRES for the tangent of three-dimensional steps, at displacement and pressure.
+"""Preconditioners of GMRES for the tangent of steps in space, displacement and pressure.
 
 The block of benchmarks/implicit_in_space.py does two steps; each preconditioner then solves the
 last linear system again, to a relative residual of 1e-8. Right preconditioning; rows and columns

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,23 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.transfer.points_to_grid import p2g
 
 
+def all_coefficients(form: ufl.Form) -> Iterator[Any]:
+    """Coefficients of a form and of what is projected in it.
+
+    Args:
+        form: UFL form.
+    """
+    for coefficient in form.coefficients():
+        yield coefficient
+        if isinstance(coefficient, LumpedProjection):
+            yield from coefficient.sums.coefficients()
+
+
 class LumpedProjection(fem.Function):
     """Lumped projection of UFL over points: sum_p N_I(x_p) V_p f_p / sum_p N_I(x_p) V_p, P1.
 
-    It is up to date whenever a form with it is assembled. If f depends on the unknown, so does the
+    It is up to date whenever a form with it is assembled; ``evaluate`` at points takes the last
+    values. If f depends on the unknown, so does the
     projection, and ``NewtonSolver`` takes that into the tangent; ``ufl.derivative`` alone does not
     see it. Nodes without points have zero.
 
@@ -28,7 +42,7 @@ class LumpedProjection(fem.Function):
     Attributes:
         points: as above.
         sums: UFL of the sums, rank 1.
-        is_held: whether it stays as it is, while nothing changes that it depends on.
+        is_held: whether forms leave it as it is.
 
     Raises:
         ValueError: for a tensor, or if f has another projection in it.
@@ -51,8 +65,8 @@ class LumpedProjection(fem.Function):
 
     def volumes(self) -> la.Vector:
         """Of the points at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""
-        scalar = self.function_space
-        return p2g(self.points, self.points.weight, scalar)
+        # what is zero but for round-off would give any mean
+        return p2g(self.points, self.points.weight, self.function_space, rounded=True)
 
     def follow_points(self) -> None:
         """Project anew, unless held; forms do it before each use (collective)."""

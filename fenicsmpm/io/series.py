@@ -150,12 +150,15 @@ class Series(Observer):
     def _chosen(self, share: PointShare | FunctionShare) -> list[str]:
         """Names of what is written."""
         if self._fields is None:
-            return share.names
+            self._fields = share.names
         if missing := [name for name in self._fields if name not in share.names]:
             raise ValueError(
                 f"no {', '.join(missing)} to write; there are {', '.join(share.names)}"
             )
-        return [name for name in share.names if name == "id" or name in self._fields]
+        names = [name for name in share.names if name == "id" or name in self._fields]
+        if len({plain(name) for name in names}) < len(names):
+            raise ValueError(f"names that are the same in the file: {', '.join(names)}")
+        return names
 
 
 def _share(shown: Shown) -> PointShare | FunctionShare:

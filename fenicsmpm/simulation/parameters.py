@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import ufl
 
+from fenicsmpm.formulations import LumpedProjection
 from fenicsmpm.points import MaterialPoints
 
 
@@ -18,7 +19,9 @@ def of_residual(R: ufl.Form) -> str:
     Args:
         R: residual.
     """
-    return f"of digest {hashlib.sha256(R.signature().encode()).hexdigest()[:16]}"
+    projected = [c.sums for c in R.coefficients() if isinstance(c, LumpedProjection)]
+    said = "".join(form.signature() for form in (R, *projected))
+    return f"of digest {hashlib.sha256(said.encode()).hexdigest()[:16]}"
 
 
 def of_points(point_sets: Sequence[MaterialPoints]) -> dict[str, str]:

@@ -123,6 +123,7 @@ class Rebalanced:
             if plan is not None:
                 steps = None  # which would keep the old simulation
                 self._go_to(plan)
+                del plan  # which has the old mesh
             if steps is None:
                 steps = self.sim.run(until, **options)
             step = next(steps, None)

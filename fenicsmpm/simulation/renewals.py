@@ -12,6 +12,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from fenicsmpm.formulations.kinematics import Kinematics
+from fenicsmpm.formulations.lumped_projection import all_coefficients
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
 
@@ -35,7 +36,7 @@ def renewals(
     """
     found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in moving}
     said: dict[tuple[MaterialPoints, str], Any] = {}
-    pending, seen = list(form.coefficients()), set()
+    pending, seen = list(all_coefficients(form)), set()
     while pending:
         field = pending.pop()
         if not isinstance(field, PointField) or field in seen:

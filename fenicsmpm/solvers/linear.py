@@ -39,9 +39,10 @@ KRYLOV = {
     "pc_type": "bjacobi",
     "sub_pc_type": "ilu",
 }
-# For a matrix beside which there are terms that are known by their products only
-NEAR = {**KRYLOV, **DIRECT, "ksp_type": "gmres", "ksp_max_it": 100}
-del NEAR["sub_pc_type"]
+# For a matrix beside which there are terms that are known by their products only: MUMPS' factors of
+# the matrix are the preconditioner
+WITH_FACTORS = {**KRYLOV, **DIRECT, "ksp_type": "gmres", "ksp_max_it": 100}
+del WITH_FACTORS["sub_pc_type"]
 # Unknowns with material from which factors in space cost more than iterations; in the plane they
 # do not before there are millions
 _MANY = 15_000
@@ -57,7 +58,7 @@ class Products(Protocol):
         """A and the terms by their products, which follow a scaling of A (collective)."""
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """A and the terms as a new matrix (collective)."""
+        """A and the terms as a matrix, which the owner of the terms keeps (collective)."""
 
 
 class LinearSolverError(RuntimeError):
@@ -67,10 +68,11 @@ class LinearSolverError(RuntimeError):
 class LinearSolver:
     """Solves systems with one matrix after the other.
 
-    By default MUMPS factorizes, but for large systems in three dimensions, which GMRES with
-    incomplete factors, ILU(0) of each rank's part, solves. Where that does not converge in 300
-    iterations, MUMPS does it. Of a sum of a matrix and of products, the factors are those of the
-    matrix.
+    By default MUMPS factorizes, but for large systems in three dimensions. GMRES solves these with
+    incomplete factors, ILU(0) of each rank's part and of a layer around it, in 300 iterations at
+    most. Where terms are added to a matrix by their products, GMRES solves all systems; MUMPS'
+    factors of the matrix are the preconditioner of those that are not large, with 100 iterations at
+    most. Where GMRES fails, MUMPS solves the whole system.
 
     Args:
         comm: MPI communicator.
@@ -107,9 +109,8 @@ class LinearSolver:
         options = DIRECT | given if given.get("pc_type", "lu") == "lu" else given
         self._comm, self._given = comm, list(given)
         self.ksp, self._options = _create(comm, options, prefix)
-        self._krylov: dict[str, PETSc.KSP] = {}
+        self._gmres: dict[str, _Gmres] = {}
         self._is_automatic, self._dim = not given, dim
-        self._fresh_iterations = 0
         self._scale: PETSc.Vec | None = None
         self.method, self.iterations, self.systems = "", 0, 0
         self.total_iterations, self.direct_after_all, self.seconds = 0, 0, 0.0
@@ -151,7 +152,7 @@ class LinearSolver:
         return self.iterations
 
     def iterates(self, A: PETSc.Mat) -> bool:
-        """Whether GMRES is tried for a matrix first (collective).
+        """Whether GMRES with incomplete factors is tried first (collective).
 
         Args:
             A: assembled matrix.
@@ -193,15 +194,7 @@ class LinearSolver:
             if self._iterate(A, b, x, rtol, products, is_large):
                 return
             self.direct_after_all += 1
-        if products is None:
-            self._solve_by_options(A, b, x)
-            return
-        whole = products.matrix(A)
-        try:
-            self._solve_by_options(whole, b, x)
-        finally:
-            self.ksp.reset()  # which would keep the matrix
-            whole.destroy()
+        self._solve_by_options(A if products is None else products.matrix(A), b, x)
 
     def _solve_by_options(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         reason = self._try(A, b, x)
@@ -245,29 +238,17 @@ class LinearSolver:
         is_large: bool,
     ) -> bool:
         """Whether GMRES has solved the system."""
-        method = "GMRES + " + ("ILU(0)" if is_large else "mumps")
-        if method not in self._krylov:
-            self._krylov[method], _ = _create(self._comm, KRYLOV if is_large else NEAR, None)
-        ksp = self._krylov[method]
+        kind = "ILU(0)" if is_large else "mumps"
+        if kind not in self._gmres:
+            self._gmres[kind] = _Gmres(self._comm, is_large)
         self._scale = A.getDiagonal()
         diagonal = np.abs(self._scale.array_r)
         self._scale.array_w[:] = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        ksp.setTolerances(rtol=rtol)
-        if ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED:
-            ksp.reset()
-        # factors of MUMPS serve as long as they do not take many more iterations
-        reuses = not is_large and 0 < self.iterations <= 1.5 * self._fresh_iterations + 2
-        ksp.getPC().setReusePreconditioner(reuses)
         operator = A if products is None else products.operator(A)
-        ksp.setOperators(operator, A)
-        ksp.solve(b, x)
-        reason, self.iterations = ksp.getConvergedReason(), ksp.getIterationNumber()
-        if not reuses:
-            self._fresh_iterations = self.iterations
+        reason, self.iterations = self._gmres[kind].solve(operator, A, b, x, rtol)
         if products is not None:
-            ksp.setOperators(A)
             operator.destroy()
-        self.method = method
+        self.method = f"GMRES + {kind}"
         if reason > 0 and np.isfinite(x.norm()):
             logger.info("GMRES: %d iterations for a reduction of %.0e", self.iterations, rtol)
             return True
@@ -307,6 +288,50 @@ class LinearSolver:
         if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
             return False
         return pc.getFactorMatrix().getMumpsInfog(1) in (-8, -9)
+
+
+class _Gmres:
+    """GMRES with incomplete factors of a matrix, or with those of MUMPS.
+
+    Factors of MUMPS serve for later matrices, too, as long as these do not take many more
+    iterations.
+    """
+
+    def __init__(self, comm: Any, is_large: bool) -> None:
+        options = WITH_FACTORS
+        if is_large:
+            # parts that overlap by a layer take two thirds of the iterations
+            options = KRYLOV | ({"pc_type": "asm"} if comm.size > 1 else {})
+        self._ksp, _ = _create(comm, options, None)
+        self._keeps = not is_large
+        self._matrix: PETSc.Mat | None = None
+        self._fresh, self._last = 0.0, 0.0  # iterations for a tenth of the residual
+
+    def solve(
+        self, operator: PETSc.Mat, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float
+    ) -> tuple[int, int]:
+        """PETSc's reason and the number of iterations (collective)."""
+        ksp = self._ksp
+        failed = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
+        # PETSc keeps the overlap of the first pattern
+        if failed or (not self._keeps and A is not self._matrix):
+            ksp.reset()
+        self._matrix = A
+        reuses = self._keeps and not failed and 0 < self._last <= 1.5 * self._fresh + 0.5
+        ksp.setTolerances(rtol=rtol)
+        while True:
+            ksp.getPC().setReusePreconditioner(reuses)
+            ksp.setOperators(operator, A)
+            ksp.solve(b, x)
+            reason, iterations = ksp.getConvergedReason(), ksp.getIterationNumber()
+            if reason > 0 or not reuses:
+                break
+            reuses = False
+        ksp.setOperators(A)  # the other one may be destroyed now
+        self._last = iterations / -np.log10(rtol)
+        if not reuses:
+            self._fresh = self._last
+        return reason, iterations
 
 
 def _create(

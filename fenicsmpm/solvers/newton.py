@@ -88,7 +88,7 @@ class NewtonSolver:
         R: residual, UFL form of rank 1 with integrals over points, cells or facets.
         U: the unknown in it.
         bcs: Dirichlet conditions.
-        J: tangent; None for ``ufl.derivative(R, U)``.
+        J: tangent; None for ``ufl.derivative(R, U)`` and what ``LumpedProjection``s in R add to it.
         rtol: tolerance of the residual relative to the first one. A residual of the size of
             round-off in its own terms is zero, too, whatever units it has.
         atol: absolute tolerance of the residual, in its units.
@@ -143,7 +143,7 @@ class NewtonSolver:
         self.line_search = line_search
         self.tying = tying
         mesh = self.J.mesh
-        self._projected = ProjectedTangent(R, U, tying)
+        self._projected = ProjectedTangent(R if J is None else None, U, tying)
         self.linear = LinearSolver(mesh.comm, petsc_options, dim=mesh.geometry.dim)
         self._parts = parts_of(U.function_space)
         self._least = sizes_of_cells(U.function_space, self._parts)
@@ -329,12 +329,15 @@ class NewtonSolver:
             self._projected.assemble(self.bcs)
             if self.tying is None:
                 return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
-            return self.tying.reduce(forms.petsc.assemble_matrix(self.J, A=self._A), self._b)
+            A = self.tying.reduce(forms.petsc.assemble_matrix(self.J, A=self._A), self._b)
+            self._projected.lift(self._b)
+            return A
 
     def _lifted_norm(self) -> float:
         """Norm of R less J (g - U), for a step that ends on the Dirichlet data."""
         if self.tying is None:
-            return self._residual_norm(lifted=True)
+            self._residual_norm(lifted=True)
+            self._projected.lift(self._b)
         free = self._b.array_r.copy()
         for bc in self.bcs:
             _compat.bc_set(bc, free, np.zeros(len(free)), 0.0)
@@ -420,8 +423,6 @@ class NewtonSolver:
         if lifted:
             with b.localForm() as local:
                 forms.apply_lifting(local.array_w, [self.J], [self.bcs], [self.U.x.array], -1.0)
-                if self._projected:
-                    self._projected.lift(local.array_w, self.bcs)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if self.tying is not None:
             self.tying.restrict(b)

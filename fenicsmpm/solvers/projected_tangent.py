@@ -29,21 +29,22 @@ class ProjectedTangent:
     The product couples nodes over two cells, so it is applied factor by factor.
 
     Args:
-        R: residual, UFL.
+        R: residual, UFL; None for none.
         U: the unknown in it.
         tying: takes nodes of little mass out of the system.
     """
 
-    def __init__(self, R: ufl.Form, U: fem.Function, tying: Tying | None) -> None:
+    def __init__(self, R: ufl.Form | None, U: fem.Function, tying: Tying | None) -> None:
         """Compile the factors (collective)."""
         self._tying, self._U = tying, U
         self._all = []
-        for c in R.coefficients():
+        for c in () if R is None else R.coefficients():
             if isinstance(c, LumpedProjection) and U in c.sums.coefficients():
                 trial = ufl.TrialFunction(c.function_space)
                 pair = ufl.derivative(R, c, trial), ufl.derivative(c.sums, U)
                 self._all.append(_Factors(c, *(forms.form(form) for form in pair)))
         self._mask: PETSc.Vec | None = None
+        self._whole: PETSc.Mat | None = None
 
     def __bool__(self) -> bool:
         """Whether there is any such projection."""
@@ -70,11 +71,15 @@ class ProjectedTangent:
             return
         for factors in self._all:
             factors.assemble()
+        if self._whole is not None:
+            self._whole.destroy()
+            self._whole = None
         if self._mask is None:
             self._mask, self._work, self._free = (self._all[0].B.createVecLeft() for _ in range(3))
         mask: npt.NDArray[np.float64] = np.ones(len(self._mask.array_r))
         for bc in bcs:
             _compat.bc_set(bc, mask, np.zeros(len(mask)), 0.0)
+        self._fixed = np.flatnonzero(mask == 0.0)
         if self._tying is not None:
             mask[self._tying.tied_dofs] = 0.0
         self._mask.array_w[:] = mask
@@ -95,28 +100,34 @@ class ProjectedTangent:
         for factors in self._all:
             factors.add(x, y)
 
-    def lift(self, b: npt.NDArray[np.float64], bcs: Sequence[fem.DirichletBC]) -> None:
-        """Add B D^-1 C (g - U) at constrained values g to owned entries of b (collective).
+    def lift(self, b: PETSc.Vec) -> None:
+        """Subtract B D^-1 C s from the rest of b, for its constrained entries s (collective).
 
         Args:
-            b: local array of a residual.
-            bcs: Dirichlet conditions.
+            b: residual with the steps s of what is constrained.
         """
-        x = self._U.x.array
-        gap = np.zeros(len(x))
-        for bc in bcs:
-            _compat.bc_set(bc, gap, x, 1.0)
-        self._free.array_w[:] = gap[: len(self._free.array_r)]
+        if not self._all:
+            return
+        assert self._mask is not None
+        self._free.set(0.0)
+        self._free.array_w[self._fixed] = b.array_r[self._fixed]
+        if self._tying is not None:
+            self._tying.extend(self._free)
         self.mult_all(self._free, self._work)
-        b[: len(self._work.array_r)] += self._work.array_r
+        if self._tying is not None:
+            self._tying.restrict(self._work)
+        self._work.pointwiseMult(self._work, self._mask)
+        b.axpy(-1.0, self._work)
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """A + B D^-1 C as a new matrix, for direct solvers (collective).
+        """A + B D^-1 C as a matrix, kept until the next ``assemble`` (collective).
 
         Args:
             A: the rest of the tangent.
         """
         assert self._mask is not None
+        if self._whole is not None:
+            return self._whole
         result = self._all[0].product()
         for factors in self._all[1:]:
             more = factors.product()
@@ -128,6 +139,7 @@ class ProjectedTangent:
             untied.destroy()
         result.diagonalScale(self._mask, self._mask)
         result.axpy(1.0, A)
+        self._whole = result
         return result
 
     def operator(self, A: PETSc.Mat) -> PETSc.Mat:
