@@ -36,8 +36,8 @@ class Series(Observer):
     become underscores, as in VTK's own files.
 
     The file is complete after each ``write``: ParaView can open it while the program runs or after
-    it was killed, also in the middle of a ``write``. A file of the same name is replaced by the
-    first ``write``.
+    it was killed, also in the middle of a ``write`` (up to some 2000 writes; beyond, a kill within
+    a few microseconds can spoil it). A file of the same name is replaced by the first ``write``.
 
     Args:
         path: the file, such as "cook.vtkhdf"; missing directories are made.
