@@ -293,8 +293,8 @@ class LinearSolver:
 class _Gmres:
     """GMRES with incomplete factors of a matrix, or with those of MUMPS.
 
-    Factors of MUMPS serve for later matrices, too, as long as these do not take many more
-    iterations.
+    Factors of MUMPS serve for the next values of a matrix, too, as long as the iterations that
+    these take more cost less than new factors.
     """
 
     def __init__(self, comm: Any, is_large: bool) -> None:
@@ -305,7 +305,8 @@ class _Gmres:
         self._ksp, _ = _create(comm, options, None)
         self._keeps = not is_large
         self._matrix: PETSc.Mat | None = None
-        self._fresh, self._last = 0.0, 0.0  # iterations for a tenth of the residual
+        # iterations for a tenth of the residual, and those that cost as much as new factors
+        self._fresh, self._last, self._worth = 0.0, 0.0, 0.0
 
     def solve(
         self, operator: PETSc.Mat, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float
@@ -313,11 +314,12 @@ class _Gmres:
         """PETSc's reason and the number of iterations (collective)."""
         ksp = self._ksp
         failed = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
-        # PETSc keeps the overlap of the first pattern
-        if failed or (not self._keeps and A is not self._matrix):
-            ksp.reset()
+        is_new = failed or A is not self._matrix
+        if is_new:
+            ksp.reset()  # PETSc keeps the overlap of the first pattern
         self._matrix = A
-        reuses = self._keeps and not failed and 0 < self._last <= 1.5 * self._fresh + 0.5
+        more = 4 * (self._last - self._fresh)  # for a usual reduction
+        reuses = self._keeps and not is_new and more <= self._worth
         ksp.setTolerances(rtol=rtol)
         while True:
             ksp.getPC().setReusePreconditioner(reuses)
@@ -331,7 +333,20 @@ class _Gmres:
         self._last = iterations / -np.log10(rtol)
         if not reuses:
             self._fresh = self._last
+            if self._keeps and reason > 0:
+                self._worth = _iterations_for_factors(ksp.getPC().getFactorMatrix())
         return reason, iterations
+
+
+def _iterations_for_factors(F: PETSc.Mat) -> float:
+    """Solutions with factors of MUMPS that take as long as to compute them, about (collective).
+
+    By counts, not by the clock, so that runs repeat: factors are computed at the speed of the
+    processor, and used at that of memory.
+    """
+    operations, entries = F.getMumpsRinfog(3), F.getMumpsInfog(29)
+    entries = entries if entries > 0 else -1e6 * entries  # millions, where there are many
+    return operations / (30 * entries)
 
 
 def _create(

@@ -251,7 +251,8 @@ class NewtonSolver:
             try:
                 with result.seconds("linear solver"):
                     products = self._projected if self._projected else None
-                    self.linear.solve(A, self._b, self._step, _forcing(norm, tolerance), products)
+                    rtol = 1e-4 if was_no_use else _forcing(norm, tolerance)
+                    self.linear.solve(A, self._b, self._step, rtol, products)
                     first_scaled = max(first_scaled, self.linear.scaled_norm(self._b) or 0.0)
                     if self.tying is not None:
                         self.tying.extend(self._step)
@@ -455,10 +456,11 @@ def _forcing(norm: float, tolerance: float) -> float:
     """Tolerance of a linear system in an inexact Newton method.
 
     Three systems solved to 1e-4 are as good as three exact ones to the usual end, and take half the
-    iterations. What is nearly at the end is brought there at once, and not below.
+    iterations. What is nearly at the end is brought there at once, and not below. GMRES sees the
+    residual in other units than Newton's method, hence the margin.
     """
-    wanted = 0.3 * tolerance / norm if norm > 0 else 0.0
-    return min(0.1, wanted) if wanted > 1e-6 else 1e-4
+    wanted = 0.03 * tolerance / norm if norm > 0 else 0.0
+    return min(0.01, wanted) if wanted > 1e-7 else 1e-4
 
 
 def _is_near(
