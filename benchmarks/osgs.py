@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""OSGS beside ASGS: time of a solution of Cook's membrane in the plane, incompressible.
+"""OSGS beside ASGS: time of a solution and of a step of Cook's membrane in the plane.
 
 Both are solved in turns from rest by new solvers, whose forms have been compiled before; medians
-of five times. For steps in space see benchmarks/implicit_in_space.py --stabilization osgs.
+of five times. Steps are those of studies/cooks_membrane_dynamic.py, in turns, too. For steps in
+space see benchmarks/implicit_in_space.py --stabilization osgs.
 
     NUMBA_NUM_THREADS=1 ./run python benchmarks/osgs.py
 """
 
+import sys
 import time
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -20,6 +23,9 @@ from fenicsmpm import formulations, io, points
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "studies"))
+import cooks_membrane_dynamic
+
 
 def solver(domain, body, edge, stabilization):
     """Of the problem of demos/cooks_membrane.py."""
@@ -31,7 +37,7 @@ def solver(domain, body, edge, stabilization):
 
 
 def main(sizes: list[int] = [64, 128, 256], repeats: int = 5):
-    """Seconds of a solution by squares a side."""
+    """Seconds of a solution by squares a side, and of a step."""
     io.say(machine.describe())
     columns = {"squares": "d", "asgs [s]": ".3f", "osgs [s]": ".3f", "ratio": ".2f"}
     table = io.Table({**columns, "Newton": "s", "Krylov": "d"})
@@ -51,6 +57,22 @@ def main(sizes: list[int] = [64, 128, 256], repeats: int = 5):
         asgs, osgs = (np.median(times[1:]) for times in spent.values())
         iterations = " ".join(str(result.iterations) for result in results.values())
         table.row(n, asgs, osgs, osgs / asgs, iterations, results["osgs"].linear_iterations)
+    steps(25)
+
+
+def steps(count: int):
+    """Seconds of a step, of bodies that move."""
+    sims = {name: cooks_membrane_dynamic.build(name) for name in ("asgs", "osgs")}
+    spent, krylov = {name: [] for name in sims}, []
+    for _ in range(count):
+        for name, sim in sims.items():
+            begin = time.perf_counter()
+            krylov.append(sim.step().newton.linear_iterations)
+            spent[name].append(time.perf_counter() - begin)
+    asgs, osgs = (np.median(times[3:]) for times in spent.values())
+    unknowns = sims["asgs"].unknown.space.dofmap.index_map.size_global
+    columns = {"unknowns": "d", "asgs [s]": ".3f", "osgs [s]": ".3f", "ratio": ".2f", "Krylov": "d"}
+    io.Table(columns).row(unknowns, asgs, osgs, osgs / asgs, int(np.median(krylov[7::2])))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Projections in a residual: their values, and what they add to the tangent."""
 
+import functools
+
 from mpi4py import MPI
 
 import numpy as np
@@ -20,6 +22,7 @@ from fenicsmpm.transfer import p2g, project
 COMM = MPI.COMM_WORLD
 
 
+@functools.cache  # on three ranks dolfinx does not always cut a mesh in the same way
 def make_mesh(dim, n=5):
     if dim == 2:
         return mesh.create_unit_square(COMM, n, n)
