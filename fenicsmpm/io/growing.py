@@ -19,6 +19,8 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm.io.skeleton import write_at
+
 LEAST_CHUNK, LARGEST_CHUNK = 1024, 2**22  # rows; HDF5 takes no chunks of 4 GB
 
 
@@ -55,7 +57,7 @@ class Place:
             number, offset = divmod(begin + done, self.chunk)
             part = rows[done : done + self.chunk - offset]
             address = self.addresses[number - self.first] + offset * rows[:1].nbytes
-            _write(descriptor, address, memoryview(part).cast("B"))
+            write_at(descriptor, address, part)
             done += len(part)
 
 
@@ -205,7 +207,7 @@ class _Changes(io.RawIOBase):
         for begin, end in (*new, *(reversed(old) if downwards else old)):
             self._at, content = begin, bytearray(end - begin)
             self.readinto(content)
-            _write(descriptor, begin, memoryview(content))
+            write_at(descriptor, begin, content)
 
     def _parts(self, size: int) -> Iterator[tuple[slice, bytearray, int]]:
         """Parts of so many bytes from here on that are in one page each: slice, page, offset."""
@@ -218,9 +220,3 @@ class _Changes(io.RawIOBase):
             n = min(size - done, self.PAGE - offset)
             yield slice(done, done + n), self._pages[number], offset
             done, self._at = done + n, self._at + n
-
-
-def _write(descriptor: int, address: int, content: memoryview) -> None:
-    while content:  # the system takes 2 GB at most
-        written = os.pwrite(descriptor, content, address)
-        address, content = address + written, content[written:]

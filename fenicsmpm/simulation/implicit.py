@@ -383,7 +383,7 @@ class ImplicitMPM:
     def memory(self, values: Mapping[str, float]) -> None:
         rest = dict(values)
         self.scheme.dt.value, self.next_dt = rest.pop("dt"), rest.pop("next_dt")
-        self._dt = rest.pop("longest", self._dt)  # files of earlier versions do not have it
+        self._dt = rest.pop("longest")
         self.scheme.memory = rest
 
     def _snapshot(self) -> Any:
