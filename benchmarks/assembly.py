@@ -34,6 +34,7 @@ class OverCells:
 
     def __init__(self, domain, dx, F):
         self.mesh, self.dx, self._F = domain, dx, F
+        self.grid_functions = None
 
     def __contains__(self, name):
         return name == "F" and self._F is not None

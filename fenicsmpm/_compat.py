@@ -146,6 +146,11 @@ class CompiledForm:
         self._coefficients = {c: c for c in extract_coefficients(original)}
         self._constants = {c: c for c in extract_constants(original)}
 
+    def constants(self) -> npt.NDArray[np.float64]:
+        """Present values of all constants, as kernels want them; at least one number."""
+        values = [np.ravel(c.value) for c in self._constants]
+        return np.concatenate([*values, np.zeros(0 if values else 1)])
+
     def facet_kernels(self) -> npt.NDArray[np.int64] | None:
         """Addresses of the functions of interior facets; None if there are others, too."""
         form, module = self._compiled.ufcx_form, self._compiled.module

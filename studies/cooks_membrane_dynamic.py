@@ -16,7 +16,7 @@ import typer
 from dolfinx import mesh
 from scipy.signal import argrelextrema
 
-from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm import ImplicitMPM, basis, formulations, io, points
 from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.diagnostics import probe
 from fenicsmpm.materials import NeoHookean
@@ -40,22 +40,31 @@ def panel(x):
 
 def build(
     stabilization="asgs", h=0.1, per_cell=33, scheme="Bossak", dt=0.025, volumetric="quadratic",
-    transient=False, tied=False, corrected=True,
+    transient=False, tied=False, corrected=True, functions="linear",
 ):  # fmt: skip
     """The loop; its carried points are the loaded edge and the tip."""
     nx, ny = (int(np.ceil(length / h - 1e-9)) for length in (6, 10))
-    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, -1), (nx * h, ny * h - 1)], [nx, ny])
-    body = points.lattice(domain, h * np.sqrt(0.5 / per_cell), inside=panel)
+    is_smooth = functions != "linear"
+    kind = mesh.CellType.quadrilateral if is_smooth else mesh.CellType.triangle
+    domain = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0, -1), (nx * h, ny * h - 1)], [nx, ny], kind,
+        partitioner=basis.shared_vertex_partitioner,
+    )  # fmt: skip
+    spacing = h * np.sqrt((1.0 if is_smooth else 0.5) / per_cell)
+    body = points.lattice(domain, spacing, inside=panel)
     formulations.set_initial_state(body, density=1.0)  # kg/m^2
     edge = points.on_curve(domain, (4.8, 4.4), (4.8, 6.0), spacing=h / 5)
     tip = points.at(domain, (4.8, 6.0))
+    if is_smooth:
+        for p in (body, edge, tip):
+            basis.use(p, functions, spacing / 2 if functions == "gimp" else None)
     cells = ActiveCells(body, loads=[edge, tip])
     law = NeoHookean(250.0, nu=0.5, volumetric=volumetric)  # Pa
     z = formulations.Unknown(domain, "u", "p")
     z.fix("u", lambda x: np.isclose(x[0], 0))
     scheme = getattr(formulations, scheme)(z, dt=dt)
     inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}
-    R = formulations.stabilized(stabilization, z, body, law, **inertia)
+    R = formulations.stabilized(stabilization, z, body, law, cells=cells, **inertia)
     R += formulations.dead_load(z.test.u, edge, (0.0, 6.25))  # Pa
     if not tied:
         R += formulations.ghost_penalty(z, cells, law)

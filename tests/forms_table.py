@@ -164,6 +164,7 @@ class _Carrier:
 
     def __init__(self, s, dx, at):
         self.mesh, self.dx, self._at = s.domain, dx, at
+        self.grid_functions = None
 
     def __contains__(self, name):
         return name in self._at

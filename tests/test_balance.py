@@ -251,8 +251,8 @@ def implicit(domain, way):
     z.fix("u", lambda x: np.isclose(x[1], 2), lambda t: (0.1 * t, 0.0))
     law, scheme, newton = NeoHookean(250.0, 0.5), fm.Bossak(z, dt=0.02), {"rtol": 1e-12}
     cells = ActiveCells(body, loads=[edge])
-    name = "osgs" if way == "osgs" else "asgs"
-    R = fm.stabilized(name, z, body, law, force=scheme.force(body))
+    name = {"osgs": "osgs", "quadratic": "cip"}.get(way, "asgs")
+    R = fm.stabilized(name, z, body, law, force=scheme.force(body), cells=cells)
     R += fm.dead_load(z.test.u, edge, (0, 6.0))
     if way == "tying":
         newton["tying"] = Tying(z.space, body, cells)

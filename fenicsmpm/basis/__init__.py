@@ -20,6 +20,7 @@ __all__ = [
     "LagrangeStencil",
     "LatticeStencil",
     "PointStencil",
+    "functions_of",
     "is_linear",
     "shared_vertex_partitioner",
     "stencil_of",
@@ -58,6 +59,11 @@ def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = Non
         )
     half_size_in_cells(points.mesh, name, half_size)
     points.grid_functions = (name, half_size)
+
+
+def functions_of(points: MaterialPoints) -> str:
+    """Name of the grid functions that points see: "linear" without ``use``."""
+    return "linear" if points.grid_functions is None else points.grid_functions[0]
 
 
 def stencil_of(points: MaterialPoints) -> PointStencil:

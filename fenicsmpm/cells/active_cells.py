@@ -22,8 +22,9 @@ class ActiveCells:
     """The part of the background mesh that holds points, followed as they move.
 
     A cell is active if some point sees all its nodes: with finite elements, if it holds a point;
-    splines and uGIMP see further cells. Where there are loads but nothing of a body, all cells
-    around are active too, so that there is a way to the body over facets. An active cell is cut if
+    splines and uGIMP see further cells. Those of loads count as those of bodies do; and where there
+    are loads but nothing of a body, all cells around are active too, so that there is a way to the
+    body over facets. An active cell is cut if
     it holds nothing of a body, or if one of its facets leads to a cell that is not active. The
     measures are for UFL forms, which are
     assembled over the cells and facets of the moment.
@@ -37,6 +38,7 @@ class ActiveCells:
         mesh: the background mesh.
         dx: measure of integrals over the active cells.
         dS: measure of integrals over the facets between two active cells of which one is cut.
+        dS_all: the same over all facets between two active cells.
     """
 
     def __init__(self, *bodies: MaterialPoints, loads: Sequence[MaterialPoints] = ()) -> None:
@@ -56,6 +58,7 @@ class ActiveCells:
         domain = self.mesh.ufl_domain()
         self.dx = ufl.Measure("dx", domain=domain, subdomain_data=self)
         self.dS = ufl.Measure("dS", domain=domain, subdomain_data=self)
+        self.dS_all = ufl.Measure("dS", domain=domain, subdomain_data=_AllFacets(self))
         self._version: Any = None
 
     @property
@@ -79,6 +82,16 @@ class ActiveCells:
 
         Raises:
             ValueError: on all ranks, for a mesh whose ranks do not see their neighbours' cells.
+        """
+        raise_together(self.mesh.comm, self._error)
+        self._update()
+        return self._facets[self._is_cut]
+
+    def all_facets(self) -> npt.NDArray[np.int32]:
+        """Owned facets between two active cells (collective).
+
+        Raises:
+            ValueError: as ``facets``.
         """
         raise_together(self.mesh.comm, self._error)
         self._update()
@@ -117,10 +130,14 @@ class ActiveCells:
             active.array[stencil_of(points).seen_cells()] = 1.0
         active.scatter_reverse(la.InsertMode.add)
         if self._loads:
+            active.array[owned:] = 0.0  # which their owners know now
             loaded = np.unique(np.concatenate([points.cell for points in self._loads]))
             apart = loaded[active.array[loaded] == 0]
             around = nodes_of(self.mesh, apart)[_compat.geometry_dofmap(self.mesh)].any(axis=1)
             active.array[around] = 1.0
+            for points in self._loads:
+                active.array[stencil_of(points).seen_cells()] = 1.0
+            active.scatter_reverse(la.InsertMode.add)
         active.scatter_forward()
         # facets of the mesh's own boundary have one cell, repeated: nothing is missing there
         first, second = active.array[self._facet_cells].T > 0
@@ -134,11 +151,28 @@ class ActiveCells:
         is_cut = (cut.array > 0) & (active.array > 0)
         touched = is_cut[self._facet_cells].any(axis=1)
         inner = self._facet_cells[:, 0] != self._facet_cells[:, 1]
-        selected = np.flatnonzero(first & second & touched & inner)
         n_owned = topology.index_map(topology.dim - 1).size_local
-        self._facets = selected[selected < n_owned].astype(np.int32)
+        self._facets = np.flatnonzero((first & second & inner)[:n_owned]).astype(np.int32)
+        self._is_cut = touched[self._facets]
         self._cells = np.flatnonzero(active.array[:owned]).astype(np.int32)
         self._cut_cells = np.flatnonzero(is_cut[:owned]).astype(np.int32)
+
+
+class _AllFacets:
+    """All facets between two active cells, as a region of integrals."""
+
+    def __init__(self, cells: ActiveCells) -> None:
+        self.mesh, self._active = cells.mesh, cells
+
+    @property
+    def version(self) -> Any:
+        return self._active.version
+
+    def entities(self, integral_type: str) -> npt.NDArray[np.int32]:
+        return _compat.facet_entities(self.mesh, self._active.all_facets())
+
+    def blocks(self, integral_type: str) -> npt.NDArray[np.int32]:
+        return self._active._facet_cells[self._active.all_facets()]
 
 
 def nodes_of(mesh: Any, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:

@@ -7,7 +7,6 @@ they are until the caller scatters them, except where said.
 
 from __future__ import annotations
 
-import itertools
 import weakref
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -168,22 +167,36 @@ def _meetings(a: Form, compact: bool) -> Iterator[tuple[_Indices, _Indices]]:
 
 def _insert_cliques(pattern: Any, rows: _Indices, columns: _Indices) -> None:
     """Insert all pairs of each line of rows and columns, every pair once."""
-    incidence = []
-    for blocks in (rows, columns):
-        n, k = blocks.shape
-        ends = k * np.arange(n + 1)
-        size = int(blocks.max(initial=-1)) + 1
-        one = np.ones(n * k, dtype=np.int8)
-        incidence.append(scipy.sparse.csr_array((one, blocks.ravel(), ends), shape=(n, size)))
-    pairs = (incidence[0].T.astype(np.bool_) @ incidence[1].astype(np.bool_)).tocsr()
-    # dolfinx takes blocks, and a call costs more than a row: parts of a mixed space at a node have
-    # equal rows
-    order, starts = loops.equal_rows(pairs.indptr, pairs.indices)
-    found = pairs.indices.astype(np.int32)
-    for begin, end in itertools.pairwise([*starts, len(order)]):
-        columns = found[pairs.indptr[order[begin]] : pairs.indptr[order[begin] + 1]]
-        if len(columns) > 0:
-            pattern.insert(order[begin:end], columns)
+    (rows, row_ends, there), (columns, column_ends, here) = map(_together, (rows, columns))
+    pairs = (there @ here.T).tocsr()
+    # all columns of the sets of columns that each set of rows meets
+    starts, lengths = column_ends[pairs.indices], np.diff(column_ends)[pairs.indices]
+    ends = np.concatenate([[0], np.cumsum(lengths)])
+    found = columns[np.repeat(starts - ends[:-1], lengths) + np.arange(ends[-1])]
+    limits = ends[pairs.indptr]
+    for k in range(len(row_ends) - 1):
+        pattern.insert(rows[row_ends[k] : row_ends[k + 1]], found[limits[k] : limits[k + 1]])
+
+
+def _together(blocks: _Indices) -> tuple[_Indices, npt.NDArray[np.int64], Any]:
+    """Blocks that are in the same lines together, such as parts of a mixed space at a node.
+
+    Returns:
+        The blocks, set by set; where each set begins, and the end; incidence of sets and lines.
+    """
+    n, k = blocks.shape
+    shape = n, int(blocks.max(initial=-1)) + 1
+    one = np.ones(n * k, dtype=np.bool_)
+    lines = scipy.sparse.csr_array((one, blocks.ravel(), k * np.arange(n + 1)), shape=shape)
+    lines = lines.T.tocsr()
+    lines.sum_duplicates()
+    order, starts = loops.equal_rows(lines.indptr, lines.indices)
+    incidence = lines[order[starts]]
+    used = np.flatnonzero(np.diff(incidence.indptr))  # without the set of what is in no line
+    ends = np.append(starts, len(order))
+    members = [order[ends[i] : ends[i + 1]] for i in used]
+    sizes = np.cumsum([0, *map(len, members)])
+    return np.concatenate([*members, np.empty(0, np.int32)]), sizes, incidence[used]
 
 
 def assemble_matrix(
@@ -232,18 +245,19 @@ def assemble_matrix(
     return A
 
 
-def inactive_dofs(a: Form) -> npt.NDArray[np.int32]:
+def inactive_dofs(a: Form, A: la.MatrixCSR | None = None) -> npt.NDArray[np.int32]:
     """Degrees of freedom of the test space without a point (or other integral) near them.
 
     Args:
         a: compiled form of rank 1 or 2 (of a linear form, integrals over the mesh are not seen).
+        A: matrix of a form of rank 2 that is overwritten; None for a new one.
 
     Returns:
         Owned local indices, unrolled.
     """
     reached = None
     if a.has_mesh_forms and a.rank == 2:
-        A = create_matrix(a)
+        A = create_matrix(a) if A is None else A
         _set_mesh_forms(A, a, [], [_marks(V, []) for V in a.function_spaces])
         reached = _reached_by_values(A)
     V = a.function_spaces[0]
@@ -295,11 +309,11 @@ def _set_mesh_forms(
 ) -> None:
     """Set a matrix to the integrals over cells and facets.
 
-    Those over regions that have no coefficients are kept until the points move.
+    Those over regions that have no coefficients are kept until points move or constants change.
     """
     constant = [form for form in a.region_forms if form.is_constant]
     if constant:
-        key = (tuple(form.region.version for form in constant), *(f.tobytes() for f in fixed))
+        key = (tuple(form.state for form in constant), *(f.tobytes() for f in fixed))
         kept = _constant_parts.setdefault(A, weakref.WeakKeyDictionary())
         if a not in kept or kept[a][0] != key:
             A.set_value(0.0)
@@ -363,19 +377,19 @@ def _inactive_marks(a: Form, reached: npt.NDArray[np.bool_] | None) -> npt.NDArr
 
 def _diagonal_positions(A: la.MatrixCSR) -> npt.NDArray[np.int64]:
     """``(n_owned,)`` positions of the diagonal entries of the owned rows."""
-    owned = A.index_map(0).size_local
-    rows = np.repeat(np.arange(owned), np.diff(A.indptr[: owned + 1]))
-    return np.flatnonzero(A.indices[: len(rows)] == rows)
+    result = np.empty(A.index_map(0).size_local, dtype=np.int64)
+    loops.diagonal_positions(A.indptr, A.indices, result)
+    return result
 
 
 def _csr_positions(
     A: la.MatrixCSR, integral: PointIntegral, dofs: list[npt.NDArray[np.int32]]
-) -> npt.NDArray[np.int32]:
+) -> npt.NDArray[np.uint32]:
     """``(n_groups, n_local0, n_local1)`` positions for the groups with points."""
     cached = _positions.setdefault(A, weakref.WeakKeyDictionary())
     groups = integral.groups
     if integral not in cached or not np.array_equal(cached[integral][0], groups):
-        positions = np.empty((len(groups), dofs[0].shape[1], dofs[1].shape[1]), dtype=np.int32)
+        positions = np.empty((len(groups), dofs[0].shape[1], dofs[1].shape[1]), dtype=np.uint32)
         if not loops.csr_positions(A.indptr, A.indices, *dofs, groups, positions):
             raise ValueError("matrix made for another form: use create_matrix of this one")
         cached[integral] = (groups, positions)

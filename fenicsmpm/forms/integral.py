@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,7 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm.basis import LagrangeStencil, stencil_of
-from fenicsmpm.forms import linear_loops, loops
+from fenicsmpm.forms import linear_loops, loops, matrix_loops
 from fenicsmpm.forms.condensation import Condensation, sites_per_cell
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.geometry import cell_values
@@ -177,7 +178,7 @@ class PointIntegral:
             slots = [a for t in tables for a in (t.basis, t.column, t.length, t.start)]
         n_local = [self._dofs[id(source)].shape[1] for source in arguments]
         kernel = self.kernel
-        for batch in sites.batches():
+        for batch in sites.batches(math.prod(n_local)):
             groups = batch[0]
             result = np.empty((groups.stop - groups.start, *n_local))
             offsets = sites.offsets[groups.start : groups.stop + 1]
@@ -194,7 +195,8 @@ class PointIntegral:
                 element = linear_loops.element_matrices if matrix else linear_loops.element_vectors
                 element(*common, sites.rows, inputs, x, *values, *slots, result)
             else:
-                element = loops.element_matrices if len(arguments) == 2 else loops.element_vectors
+                matrix = len(arguments) == 2
+                element = matrix_loops.element_matrices if matrix else loops.element_vectors
                 element(*common, sites.rows, inputs, *slots, result)
             yield groups, result
 

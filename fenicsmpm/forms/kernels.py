@@ -133,22 +133,22 @@ def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignor
 
 
 @intrinsic
-def call_facet_kernel(typingctx, address, tensor, coordinates, facets, permutations):  # type: ignore[no-untyped-def]
-    """Call a kernel of an interior facet by its address, without coefficients and constants.
+def call_facet_kernel(typingctx, address, tensor, constants, coordinates, facets, permutations):  # type: ignore[no-untyped-def]
+    """Call a kernel of an interior facet by its address, without coefficients.
 
-    All arguments are addresses (int64): of two cells' coordinates, of the two local numbers of the
-    facet (int32), and of its two permutations (uint8).
+    All arguments are addresses (int64): of constants, of two cells' coordinates, of the two local
+    numbers of the facet (int32), and of its two permutations (uint8).
     """
-    signature = types.void(*[types.int64] * 5)
+    signature = types.void(*[types.int64] * 6)
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         pointer = ir.IntType(8).as_pointer()
         function = builder.inttoptr(
             args[0], ir.FunctionType(ir.VoidType(), [pointer] * 7).as_pointer()
         )
-        tensor, coordinates, facets, permutations = (builder.inttoptr(a, pointer) for a in args[1:])
+        tensor, *others = (builder.inttoptr(a, pointer) for a in args[1:])
         null = ir.Constant(pointer, None)
-        builder.call(function, [tensor, null, null, coordinates, facets, permutations, null])
+        builder.call(function, [tensor, null, *others, null])
         return context.get_dummy_value()
 
     return signature, codegen

@@ -83,42 +83,6 @@ def element_vectors(address, offsets, weights, rows, inputs, basis, column, leng
             contract_vector(tensor, weights[k], basis[rows[k]], column, length, start, result[i])
 
 
-@njit(parallel=True)
-def element_matrices(
-    address,
-    offsets,
-    weights,
-    rows,
-    inputs,
-    basis0,
-    column0,
-    length0,
-    start0,
-    basis1,
-    column1,
-    length1,
-    start1,
-    result,
-):
-    """A_K = sum_p V_p B0^T D B1 into ``result (n_groups, n_local0, n_local1)``.
-
-    The kernel's output is D transposed: ``tensor[trial slot, test slot]``.
-    """
-    n0, n1 = len(column0), len(column1)
-    for i in numba.prange(len(offsets) - 1):
-        tensor = np.empty((n1, n0))
-        half = np.empty((result.shape[2], n0))
-        result[i] = 0.0
-        for k in range(offsets[i], offsets[i + 1]):
-            evaluate_kernel(address, tensor, inputs[k - offsets[0]])
-            row0 = basis0[rows[k]]
-            row1 = basis1[rows[k]]
-            contract_matrix(
-                tensor, weights[k], row0, column0, length0, start0,
-                row1, column1, length1, start1, half, result[i],
-            )  # fmt: skip
-
-
 @njit
 def contract_vector(tensor, weight, row, column, length, start, result):
     """Add weight B^T D; slot s is ``row[column[s]:][:length[s]]`` on dofs ``start[s]``."""
@@ -184,18 +148,27 @@ def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data
         dofs0: ``(n_all_groups, n_local0)`` rows.
         dofs1: ``(n_all_groups, n_local1)`` columns.
         groups: ``(n_groups,)``.
-        positions: ``(n_groups, n_local0, n_local1)`` positions within ``data``.
+        positions: ``(n_groups, n_local0, n_local1)`` positions within ``data``; without a sign,
+            which numba would look at for each.
         fixed0: uint8 marks of constrained rows.
         fixed1: uint8 marks of constrained columns.
         data: CSR values.
     """
+    n0, n1 = dofs0.shape[1], dofs1.shape[1]
     for i in range(len(groups)):
-        for a in range(dofs0.shape[1]):
+        is_free = True
+        for b in range(n1):
+            is_free &= not fixed1[dofs1[groups[i], b]]
+        for a in range(n0):
             if fixed0[dofs0[groups[i], a]]:
                 continue
-            for b in range(dofs1.shape[1]):
-                if not fixed1[dofs1[groups[i], b]]:
+            if is_free:
+                for b in range(n1):
                     data[positions[i, a, b]] += matrices[i, a, b]
+            else:
+                for b in range(n1):
+                    if not fixed1[dofs1[groups[i], b]]:
+                        data[positions[i, a, b]] += matrices[i, a, b]
 
 
 @njit
@@ -217,28 +190,41 @@ def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
         Whether the pattern has a place for all of them.
     """
     for i in range(len(groups)):
+        columns = dofs1[groups[i]]
+        ascending = np.argsort(columns)
         for a in range(dofs0.shape[1]):
             row = dofs0[groups[i], a]
-            first, last = indptr[row], indptr[row + 1]
-            for b in range(dofs1.shape[1]):
-                column = dofs1[groups[i], b]
-                k = first + np.searchsorted(indices[first:last], column)
-                if k == last or indices[k] != column:
+            k, last = indptr[row], indptr[row + 1]
+            for b in ascending:
+                # rows hold little more than these columns, so the next one is near
+                while k < last and indices[k] < columns[b]:
+                    k += 1
+                if k == last or indices[k] != columns[b]:
                     return False
                 positions[i, a, b] = k
     return True
 
 
 @njit
+def diagonal_positions(indptr, indices, result):
+    """Position of the diagonal entry of each of the first rows of a CSR matrix."""
+    for row in range(len(result)):
+        first, last = indptr[row], indptr[row + 1]
+        result[row] = first + np.searchsorted(indices[first:last], row)
+
+
+@njit
 def add_facet_matrices(
-    addresses, entities, x, nodes, dofs0, dofs1, permutations, fixed0, fixed1, indptr, indices, data
-):
+    addresses, constants, entities, x, nodes, dofs0, dofs1, permutations, fixed0, fixed1,
+    indptr, indices, data,
+):  # fmt: skip
     """Add matrices of interior facets to CSR data, but for constrained rows and columns.
 
     Entries that are zero are left out: most are, as only components of the same name meet.
 
     Args:
-        addresses: ``(n_kernels,)`` of functions without coefficients and constants.
+        addresses: ``(n_kernels,)`` of functions without coefficients.
+        constants: ``(n,)`` of these functions, at least one number.
         entities: ``(n_facets, 4)`` cell and local facet on both sides.
         x: ``(n_nodes, 3)`` positions.
         nodes: ``(n_cells, n_corners)`` of the cells.
@@ -273,6 +259,7 @@ def add_facet_matrices(
             call_facet_kernel(
                 address,
                 tensor.ctypes.data,
+                constants.ctypes.data,
                 coordinates.ctypes.data,
                 facets.ctypes.data,
                 twists.ctypes.data,

@@ -100,6 +100,16 @@ def assemble_matrix(
     return A
 
 
+def inactive_dofs(a: Form, A: PETSc.Mat) -> npt.NDArray[np.int32]:
+    """What ``fenicsmpm.forms.inactive_dofs`` finds, without a matrix of its own.
+
+    Args:
+        a: compiled form of rank 2.
+        A: its matrix, from ``create_matrix``; its values stay.
+    """
+    return assembly.inactive_dofs(a, _work_matrix(a, A))
+
+
 def unreached_rows(A: PETSc.Mat) -> npt.NDArray[np.int64]:
     """Owned local rows that are of the identity because no integral reached them.
 

@@ -47,7 +47,7 @@ class RegionForm:
     Attributes:
         region: where its integrals are taken.
         types: of its integrals.
-        is_constant: whether it has neither coefficients nor constants.
+        is_constant: whether it has no coefficients, so that ``state`` tells all that it depends on.
     """
 
     def __init__(self, integrals: list[ufl.Integral], options: dict[str, Any]) -> None:
@@ -61,11 +61,16 @@ class RegionForm:
         )
         self.types = {i.integral_type() for i in integrals}
         self._arguments = form.arguments()
-        self.is_constant = not (form.coefficients() or form.constants())
+        self.is_constant = not form.coefficients()
         self._compiled = _compat.CompiledForm(self.region.mesh, form, options)
         self._version: Any = None
         self._form: fem.Form | None = None
         self._facet_kernels = self._of_facets()
+
+    @property
+    def state(self) -> tuple[Any, bytes]:
+        """Changes whenever the region or the constants have changed."""
+        return self.region.version, self._compiled.constants().tobytes()
 
     def _of_facets(self) -> npt.NDArray[np.int64] | None:
         """Addresses of kernels for ``loops.add_facet_matrices``; None where it does not do."""
@@ -102,6 +107,7 @@ class RegionForm:
         per_cell = len(permutations) // len(nodes)
         done = loops.add_facet_matrices(
             self._facet_kernels,
+            self._compiled.constants(),
             entities.reshape(-1, 4),
             mesh.geometry.x,
             nodes,

@@ -17,8 +17,8 @@ from fenicsmpm.forms.lowering import Source
 from fenicsmpm.forms.slots import SlotTable, slot_table
 from fenicsmpm.points.point_field import PointField
 
-# Sites of a batch and thread: its inputs and element tensors should stay in the cache
-_BATCH = 4096
+# Sites and numbers in element tensors of a batch and thread, which should stay in the cache
+_SITES, _NUMBERS = 4096, 1 << 18
 
 Slices = tuple[slice, slice]
 PlainInputs = list[npt.NDArray[np.float64] | None]
@@ -101,13 +101,18 @@ class Sites:
 
     # --- kernel inputs -----------------------------------------------------------------------
 
-    def batches(self) -> Iterator[Slices]:
-        """Ranges of groups and of sites that are processed together."""
-        size = _BATCH * numba.get_num_threads()
+    def batches(self, numbers: int = 1) -> Iterator[Slices]:
+        """Ranges of groups and of sites that are processed together.
+
+        Args:
+            numbers: in the element tensor of a group.
+        """
+        threads = numba.get_num_threads()
+        size, most = _SITES * threads, max(1, _NUMBERS // numbers) * threads
         first = 0
         while first < len(self.groups):
             last = int(np.searchsorted(self.offsets, self.offsets[first] + size, side="right")) - 1
-            last = min(max(last, first + 1), len(self.groups))
+            last = min(max(last, first + 1), first + most, len(self.groups))
             yield slice(first, last), slice(int(self.offsets[first]), int(self.offsets[last]))
             first = last
 

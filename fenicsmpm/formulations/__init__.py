@@ -12,6 +12,7 @@ from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
 from fenicsmpm.formulations.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.formulations.ghost_penalty import ghost_mass, ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
+from fenicsmpm.formulations.interior_penalty import hessian_penalty, interior_penalty
 from fenicsmpm.formulations.internal_force import body_force, internal_force
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.lumped_projection import LumpedProjection
@@ -25,13 +26,13 @@ from fenicsmpm.formulations.response import Response
 from fenicsmpm.formulations.stabilization import (
     STABILIZATIONS,
     asgs,
-    element_size,
     osgs,
     ppp,
     residuals,
+    split_osgs,
     stabilized,
-    tau,
 )
+from fenicsmpm.formulations.stabilization_parameters import element_size, tau
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
 from fenicsmpm.formulations.unknown import Condition, Part, Unknown
 
@@ -67,6 +68,8 @@ __all__ = [
     "follower_pressure",
     "ghost_mass",
     "ghost_penalty",
+    "hessian_penalty",
+    "interior_penalty",
     "internal_force",
     "mixed",
     "osgs",
@@ -75,6 +78,7 @@ __all__ = [
     "residuals",
     "set_initial_state",
     "set_normals",
+    "split_osgs",
     "stabilized",
     "stress_power",
     "tau",

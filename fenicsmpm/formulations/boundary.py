@@ -15,7 +15,7 @@ import numpy.typing as npt
 import ufl
 
 from fenicsmpm.formulations.kinematics import Kinematics
-from fenicsmpm.formulations.stabilization import element_size
+from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import MaterialPoints

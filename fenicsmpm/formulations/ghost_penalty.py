@@ -3,19 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import ufl
-from dolfinx import fem
 
-from fenicsmpm.basis import is_linear
 from fenicsmpm.cells import ActiveCells
+from fenicsmpm.formulations.facet_jumps import jumps, of_jumps
 from fenicsmpm.formulations.mixed import MixedLaw
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, VonMises
-from fenicsmpm.points.geometry import cell_geometry
 
 
 def ghost_penalty(
@@ -47,9 +42,9 @@ def ghost_penalty(
     """
     _check(gamma)
     z.require("u", of="the ghost penalty")
-    h, jump = _facets(cells)
+    h, jump = jumps(cells.mesh)
     parts = ["u", "p"] if "p" in z else ["u"]
-    dS = _measure(cells, [z.part_space(part) for part in parts])
+    dS = of_jumps(cells.dS, [z.part_space(part) for part in parts])
     mu = law.modulus(h**2) if hasattr(law, "modulus") else getattr(law, "mu", None)
     if mu is None:
         raise ValueError(
@@ -81,37 +76,13 @@ def ghost_mass(
         UFL form of rank 1 over facets.
     """
     _check(gamma)
-    h, jump = _facets(cells)
+    h, jump = jumps(cells.mesh)
     inertia = ufl.inner(jump(scheme.acceleration), jump(scheme.w))
     assert scheme.unknown.moving is not None  # checked by the scheme
-    dS = _measure(cells, [scheme.unknown.part_space(scheme.unknown.moving)])
+    dS = of_jumps(cells.dS, [scheme.unknown.part_space(scheme.unknown.moving)])
     return gamma * density * h**3 * inertia * dS
 
 
 def _check(gamma: float) -> None:
     if not gamma > 0:
         raise ValueError(f"the factor of the ghost penalty must be positive: gamma = {gamma}")
-
-
-def _measure(cells: ActiveCells, spaces: Sequence[fem.FunctionSpace]) -> ufl.Measure:
-    """Of the facets; gradients of linear functions on simplices are constant, UFL thinks not."""
-    simple = cell_geometry(cells.mesh).is_simplex
-    if simple and all(is_linear(V.ufl_element()) for V in spaces):
-        return cells.dS(metadata={"quadrature_degree": 0})
-    return cells.dS
-
-
-def _facets(cells: ActiveCells) -> Any:
-    """Size of the cells at a facet [m], and the jump of a normal derivative."""
-    mesh = cells.mesh
-    n = ufl.FacetNormal(mesh.ufl_domain())("+")
-    domain = mesh.ufl_domain()
-    # FFCx has no volume of quadrilaterals and hexahedra; that of the reference cell is one
-    is_simplex = cell_geometry(mesh).is_simplex
-    volume = ufl.CellVolume(domain) if is_simplex else abs(ufl.JacobianDeterminant(domain))
-    h = ufl.avg(volume) ** (1 / mesh.geometry.dim)
-
-    def jump(f: Any) -> Any:
-        return ufl.dot(ufl.grad(f)("+") - ufl.grad(f)("-"), n)
-
-    return h, jump

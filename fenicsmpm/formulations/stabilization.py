@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stabilization of equal-order mixed elements: PPP, ASGS and OSGS (VMS, section 4).
+"""Stabilization of equal-order mixed elements: PPP, ASGS and OSGS (VMS, section 4), by terms.
 
 Every function returns UFL that is added to the Galerkin residual of ``mixed``.
 """
@@ -10,64 +10,18 @@ from typing import Any
 
 import ufl
 
+from fenicsmpm.basis import functions_of
+from fenicsmpm.cells import ActiveCells
+from fenicsmpm.formulations.interior_penalty import hessian_penalty, interior_penalty
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.lumped_projection import LumpedProjection
 from fenicsmpm.formulations.mixed import MixedLaw, mixed
-from fenicsmpm.formulations.time_scheme import TimeScheme, density
+from fenicsmpm.formulations.stabilization_parameters import squared_size, tau
+from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.points import MaterialPoints
 
-STABILIZATIONS = ("none", "ppp", "asgs", "osgs")
-
-
-def element_size(points: MaterialPoints) -> Any:
-    """Cell size h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
-    return _cell_volume(points) ** (1 / points.mesh.geometry.dim)
-
-
-def _cell_volume(points: MaterialPoints) -> Any:
-    return ufl.CellVolume(points.mesh.ufl_domain())
-
-
-def tau(
-    points: MaterialPoints,
-    law: MixedLaw,
-    c1: float = 1.0,
-    c2: float = 1.0,
-    scheme: TimeScheme | None = None,
-) -> Any:
-    """Stabilization parameters of VMS, equation 21.
-
-    Subscales without inertia let Newton's method fail where steps are much shorter than
-    h sqrt(rho / mu). With it, 1 / tau_1 = 2 mu / (c1 h^2) + rho r_a (R. Codina, CMAME 191, 2002),
-    r_a u being the change of acceleration in a step.
-
-    Args:
-        points: material points.
-        law: constitutive law.
-        c1: algorithmic constant of tau_1.
-        c2: algorithmic constant of tau_2.
-        scheme: time scheme, for subscales with inertia; None for those of the paper, and for a law
-            that has inertia itself (``NewtonianFlow``).
-
-    Returns:
-        tau_1 = c1 h^2 / (2 mu) [m^2/Pa], with inertia as above, and tau_2 = 2 c2 mu [Pa], with the
-        law's moduli as mu.
-
-    Raises:
-        ValueError: for a scheme and a law that has inertia itself.
-    """
-    if scheme is not None and hasattr(law, "scheme"):
-        raise ValueError("the law's subscales have inertia themselves: leave out the scheme")
-    h_squared = _h_squared(points)
-    mu, mu_p = law.modulus(h_squared), law.subscale_modulus(points, h_squared)
-    if scheme is not None:
-        mu += c1 * density(points) * scheme.rates[1] * h_squared / 2
-    return c1 * h_squared / (2 * mu), 2 * c2 * mu_p
-
-
-def _h_squared(points: MaterialPoints) -> Any:
-    return _cell_volume(points) ** (2 / points.mesh.geometry.dim)
+STABILIZATIONS = ("none", "ppp", "asgs", "osgs", "split_osgs", "cip", "hessian")
 
 
 def ppp(z: Unknown, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0) -> ufl.Form:
@@ -88,7 +42,7 @@ def ppp(z: Unknown, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0
     p, q, j = z.p, z.test.p, Kinematics(z.u, points).j
     rough_p = p - ufl.cell_avg(p)
     rough_q = q - ufl.cell_avg(q)
-    return -alpha / law.modulus(_h_squared(points)) * j * rough_p * rough_q * points.dx
+    return -alpha / law.modulus(squared_size(points)) * j * rough_p * rough_q * points.dx
 
 
 def asgs(
@@ -155,6 +109,38 @@ def osgs(
     return _subscales(z, points, law, R_u - Pi_u, R_p - Pi_p, c1, c2, scheme)
 
 
+def split_osgs(
+    z: Unknown,
+    points: MaterialPoints,
+    law: MixedLaw,
+    *,
+    c1: float = 1.0,
+    scheme: TimeScheme | None = None,
+) -> ufl.Form:
+    """Orthogonal subscales of the pressure alone: -tau_1 (grad p - its projection, grad q).
+
+    The term of OSGS that keeps pressures smooth (R. Codina, Appl. Numer. Math. 58, 2008). It needs
+    no residual, so it is consistent for functions of any smoothness.
+
+    Args:
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
+        points: material points with weights V_n [m^d].
+        law: constitutive law.
+        c1: constant of tau_1.
+        scheme: time scheme, for subscales with inertia, see ``tau``.
+
+    Returns:
+        UFL form of rank 1.
+    """
+    z.require("u", "p", of="split OSGS")
+    z.require_linear("split OSGS")
+    k = Kinematics(z.u, points)
+    force = _pressure_force(k, z.p)
+    tau1, _ = tau(points, law, c1, scheme=scheme)
+    rough = force - LumpedProjection(points, force)
+    return -tau1 / k.j * ufl.inner(rough, _pressure_force(k, z.test.p)) * points.dx
+
+
 def stabilized(
     name: str,
     z: Unknown,
@@ -163,22 +149,25 @@ def stabilized(
     *,
     force: Any = None,
     scheme: TimeScheme | None = None,
+    cells: ActiveCells | None = None,
 ) -> ufl.Form:
     """Residual of the mixed formulation with a stabilization chosen by name.
 
     Args:
-        name: "none", "ppp", "asgs" or "osgs".
+        name: "none", "ppp", "asgs", "osgs", "split_osgs", "cip" (``interior_penalty``) or
+            "hessian" (``hessian_penalty``).
         z: unknown with the increment of displacement u [m] and the pressure p [Pa].
         points: material points with weights V_n [m^d].
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
-        scheme: time scheme, for subscales of ASGS and OSGS with inertia, see ``tau``.
+        scheme: time scheme, for tau_1 with inertia, see ``tau``.
+        cells: active cells of the body and of loads, for "cip".
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: for an unknown name.
+        ValueError: for an unknown name, or one that does not suit the functions, see there.
     """
     R = mixed(z, points, law, force=force)
     if name == "none":
@@ -189,6 +178,12 @@ def stabilized(
         return R + asgs(z, points, law, force=force, scheme=scheme)
     if name == "osgs":
         return R + osgs(z, points, law, force=force, scheme=scheme)
+    if name == "split_osgs":
+        return R + split_osgs(z, points, law, scheme=scheme)
+    if name == "cip":
+        return R + interior_penalty(z, cells, law, scheme=scheme)
+    if name == "hessian":
+        return R + hessian_penalty(z, points, law, scheme=scheme)
     raise ValueError(f"unknown stabilization {name!r}: use one of {', '.join(STABILIZATIONS)}")
 
 
@@ -198,8 +193,8 @@ def residuals(
     """Residuals of momentum and of the volumetric law, for linear elements.
 
     They leave out the divergence of the deviatoric stress: zero for linear triangles and
-    tetrahedra, small for linear quadrilaterals and hexahedra, and not small for other functions, to
-    which a stabilization by these residuals adds an error of its own.
+    tetrahedra, small for linear quadrilaterals and hexahedra. Of quadratic elements, to which they
+    add an error of its own, they are for trials.
 
     Args:
         z: unknown with the increment of displacement u [m] and the pressure p [Pa].
@@ -210,8 +205,18 @@ def residuals(
     Returns:
         j (rho b + grad p) per volume before the step [N/m^3], and the law's volumetric residual,
         of a solid U'(J)/kappa - p/kappa [-].
+
+    Raises:
+        ValueError: for points that see smooth functions, for which that is not small.
     """
     z.require("u", "p", of="stabilization by residuals")
+    name = functions_of(points)
+    if name != "linear":
+        raise ValueError(
+            "ASGS and OSGS leave out the divergence of the deviatoric stress, which is small for "
+            f'linear functions only, not for {name} ones: use "cip", "split_osgs" or, with '
+            'splines, "hessian"'
+        )
     k = Kinematics(z.u, points)
     R_u = _pressure_force(k, z.p)
     if force is not None:

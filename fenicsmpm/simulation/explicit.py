@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm.basis import functions_of
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.formulations.unknown import Condition, Unknown
@@ -28,7 +29,6 @@ from fenicsmpm.simulation.explicit_checks import (
     check_bodies,
     check_functions,
     check_space,
-    functions_of,
 )
 from fenicsmpm.simulation.explicit_on_lattice import OnLattice
 from fenicsmpm.simulation.observer import Observers, Watcher

@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem, la
 
 from fenicsmpm import _compat, forms
+from fenicsmpm.basis import functions_of
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.formulations.internal_force import (
     CauchyStress,
@@ -27,7 +28,6 @@ from fenicsmpm.formulations.kinematics import embed
 from fenicsmpm.materials import Law, state_of, stress
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
-from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.contact import keep_points_out, push_points

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from dolfinx import fem
 
-from fenicsmpm.basis import is_linear
+from fenicsmpm.basis import functions_of, is_linear
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.checks import require_points
 
@@ -69,8 +69,3 @@ def check_functions(sets: Sequence[MaterialPoints]) -> None:
             f"points that see different grid functions: {', '.join(sorted(names))}. Bodies and "
             "carried points need the same, see basis.use"
         )
-
-
-def functions_of(points: MaterialPoints) -> str:
-    """Name of the grid functions that points see: "linear" without ``basis.use``."""
-    return "linear" if points.grid_functions is None else points.grid_functions[0]

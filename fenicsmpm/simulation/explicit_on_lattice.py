@@ -13,11 +13,11 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from fenicsmpm import forms
+from fenicsmpm.basis import functions_of
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.location import locator
-from fenicsmpm.simulation.explicit_checks import functions_of
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
 
 if TYPE_CHECKING:

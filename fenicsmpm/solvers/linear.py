@@ -293,8 +293,8 @@ class LinearSolver:
 class _Gmres:
     """GMRES with incomplete factors of a matrix, or with those of MUMPS.
 
-    Factors of MUMPS serve for the next values of a matrix, too, as long as the iterations that
-    these take more cost less than new factors.
+    Factors serve as long as the values of the matrix stay. Those of MUMPS serve for the next
+    values, too, as long as the iterations that these take more cost less than new factors.
     """
 
     def __init__(self, comm: Any, is_large: bool) -> None:
@@ -305,6 +305,7 @@ class _Gmres:
         self._ksp, _ = _create(comm, options, None)
         self._keeps = not is_large
         self._matrix: PETSc.Mat | None = None
+        self._state = -1
         # iterations for a tenth of the residual, and those that cost as much as new factors
         self._fresh, self._last, self._worth = 0.0, 0.0, 0.0
 
@@ -319,7 +320,8 @@ class _Gmres:
             ksp.reset()  # PETSc keeps the overlap of the first pattern
         self._matrix = A
         more = 4 * (self._last - self._fresh)  # for a usual reduction
-        reuses = self._keeps and not is_new and more <= self._worth
+        is_same = not is_new and A.stateGet() == self._state
+        reuses = is_same or (self._keeps and not is_new and more <= self._worth)
         ksp.setTolerances(rtol=rtol)
         while True:
             ksp.getPC().setReusePreconditioner(reuses)
@@ -330,6 +332,7 @@ class _Gmres:
                 break
             reuses = False
         ksp.setOperators(A)  # the other one may be destroyed now
+        self._state = A.stateGet()  # scaling there and back has changed it
         self._last = iterations / -np.log10(rtol)
         if not reuses:
             self._fresh = self._last

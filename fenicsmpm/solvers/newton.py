@@ -192,7 +192,7 @@ class NewtonSolver:
     def _tie(self) -> None:
         """Find the nodes to be tied, and start from a function that obeys."""
         assert self.tying is not None
-        self.tying.update(_compat.fixed_dofs(self.bcs), forms.inactive_dofs(self.J))
+        self.tying.update(_compat.fixed_dofs(self.bcs), forms.petsc.inactive_dofs(self.J, self._A))
         owned = len(self._step.array_r)
         self._step.array_w[:] = self.U.x.array[:owned]
         self.tying.extend(self._step)
@@ -238,7 +238,7 @@ class NewtonSolver:
             if result.iterations == 0:
                 self._require_support(reference, result)
                 if self._is_new:
-                    inactive = forms.inactive_dofs(self.J)
+                    inactive = forms.petsc.inactive_dofs(self.J, self._A)
                     if self.tying is not None:
                         inactive = np.union1d(inactive, self.tying.tied_dofs)
                     V = self.U.function_space

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Size of a cell and parameters of stabilization at the points (VMS, equation 21)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+
+from fenicsmpm.formulations.mixed import MixedLaw
+from fenicsmpm.formulations.time_scheme import TimeScheme, density
+from fenicsmpm.points import MaterialPoints
+
+
+def element_size(points: MaterialPoints) -> Any:
+    """Cell size h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
+    return _cell_volume(points) ** (1 / points.mesh.geometry.dim)
+
+
+def _cell_volume(points: MaterialPoints) -> Any:
+    return ufl.CellVolume(points.mesh.ufl_domain())
+
+
+def tau(
+    points: MaterialPoints,
+    law: MixedLaw,
+    c1: float = 1.0,
+    c2: float = 1.0,
+    scheme: TimeScheme | None = None,
+) -> Any:
+    """Stabilization parameters of VMS, equation 21.
+
+    Subscales without inertia let Newton's method fail where steps are much shorter than
+    h sqrt(rho / mu). With it, 1 / tau_1 = 2 mu / (c1 h^2) + rho r_a (R. Codina, CMAME 191, 2002),
+    r_a u being the change of acceleration in a step.
+
+    Args:
+        points: material points.
+        law: constitutive law.
+        c1: algorithmic constant of tau_1.
+        c2: algorithmic constant of tau_2.
+        scheme: time scheme, for subscales with inertia; None for those of the paper, and for a law
+            that has inertia itself (``NewtonianFlow``).
+
+    Returns:
+        tau_1 = c1 h^2 / (2 mu) [m^2/Pa], with inertia as above, and tau_2 = 2 c2 mu [Pa], with the
+        law's moduli as mu.
+
+    Raises:
+        ValueError: for a scheme and a law that has inertia itself.
+    """
+    if scheme is not None and hasattr(law, "scheme"):
+        raise ValueError("the law's subscales have inertia themselves: leave out the scheme")
+    h_squared = squared_size(points)
+    mu, mu_p = law.modulus(h_squared), law.subscale_modulus(points, h_squared)
+    if scheme is not None:
+        mu += c1 * density(points) * scheme.rates[1] * h_squared / 2
+    return c1 * h_squared / (2 * mu), 2 * c2 * mu_p
+
+
+def squared_size(points: MaterialPoints) -> Any:
+    """Square of the cell size h^2 [m^2]."""
+    return _cell_volume(points) ** (2 / points.mesh.geometry.dim)
