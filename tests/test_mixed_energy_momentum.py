@@ -7,27 +7,32 @@ import numpy as np
 import pytest
 from dolfinx import mesh
 
-from fenicsmpm import ImplicitMPM, diagnostics, formulations, points
+from fenicsmpm import ImplicitMPM, basis, diagnostics, formulations, points
 from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import NeoHookean
 
 COMM = MPI.COMM_WORLD
+CELLS = [
+    getattr(mesh.CellType, n) for n in ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+]
 
 
 class Flight:
     """A block that turns, bends and flies through cells."""
 
-    def __init__(self, nu, dim=2, alpha=1.0):
+    def __init__(self, nu, dim=2, alpha=None, functions="linear"):
         corners = [(0,) * dim, (3,) * dim]
-        if dim == 2:
-            domain = mesh.create_rectangle(COMM, corners, [9, 9])
-        else:
-            domain = mesh.create_box(COMM, corners, [6] * 3)
+        create, shape = (mesh.create_rectangle, [9, 9]) if dim == 2 else (mesh.create_box, [6] * 3)
+        simplex, box = (CELLS[2 * dim - 4], CELLS[2 * dim - 3])
+        kind = simplex if functions == "linear" else box
+        domain = create(COMM, corners, shape, kind, partitioner=basis.shared_vertex_partitioner)
         spacing = 1 / 12 if dim == 2 else 1 / 6
         self.body = points.lattice(
             domain, spacing, inside=lambda x: np.all(np.abs(x[:dim] - 1.5) < 0.5, axis=0)
         )
+        if functions != "linear":
+            basis.use(self.body, functions)
         formulations.set_initial_state(self.body, 2.0, velocity=self.velocity)
         self.law = NeoHookean(100.0, nu)
         self.z = z = formulations.Unknown(domain, "u", "p")
@@ -57,9 +62,19 @@ class Flight:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("nu", "dim"), [(0.5, 2), (0.49, 2), (0.5, 3)])
-def test_energy_momenta_and_volume_are_kept(nu, dim):
-    flight = Flight(nu, dim)
+@pytest.mark.parametrize(
+    ("nu", "dim", "functions"),
+    [
+        (0.5, 2, "linear"),
+        (0.49, 2, "linear"),
+        (0.5, 3, "linear"),
+        (0.5, 2, "quadratic"),
+        (0.49, 2, "cubic"),
+        (0.5, 3, "quadratic"),
+    ],
+)
+def test_energy_momenta_and_volume_are_kept(nu, dim, functions):
+    flight = Flight(nu, dim, functions=functions)
     body = flight.body
     before = flight.energy()
     momentum, moment = diagnostics.momentum(body), diagnostics.angular_momentum(body)

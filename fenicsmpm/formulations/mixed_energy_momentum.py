@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import ufl
 
+from fenicsmpm.basis import functions_of
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum
+from fenicsmpm.formulations.interior_penalty import GAMMA, require_second_derivatives
+from fenicsmpm.formulations.stabilization_parameters import squared_size
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import MaterialPoints
@@ -20,19 +23,19 @@ class MixedEnergyMomentum(EnergyMomentum):
     The pressure of a step p acts on the change of volume, and does exactly the work p Delta J:
 
         S = S_iso + p Z,  Z : Delta C / 2 = Delta J
-        (Delta J - Delta theta, q) - alpha / mu (Delta r, q - q_K) = 0  per initial volume
+        (Delta J - Delta theta, q) - alpha / mu (Delta r, rough(q)) = 0  per initial volume
 
     with S_iso and Z discrete derivatives of the isochoric energy and of J. Points carry the
     volumetric strain theta of energy kappa theta^2 / 2, and a pressure r of energy
-    alpha r^2 / (2 mu), the part of p that varies in a cell, which stabilizes (Dohrmann and Bochev).
-    Both follow from their means over the step, kappa (theta_n + theta_{n+1}) / 2 = p and
-    (r_n + r_{n+1}) / 2 = p - p_K. With the mid-point rule, the consistent mass and FLIP, kinetic
-    energy and all three of these together are constant. What p cannot show of theta and r changes
-    its sign from step to step: nothing damps it.
+    alpha r^2 / (2 mu), which stabilizes: the part of p that varies in a cell, rough(p) = p - p_K
+    (Dohrmann and Bochev), or where points see splines, rough(p) = h^2 grad grad p
+    (``hessian_penalty``). Both follow from their means over the step,
+    kappa (theta_n + theta_{n+1}) / 2 = p and (r_n + r_{n+1}) / 2 = rough(p). With the mid-point
+    rule, the consistent mass and FLIP, kinetic energy and all three of these together are constant.
+    What p cannot show of theta and r changes its sign from step to step: nothing damps it.
 
     Nodes that few points see are to be tied, as the pressure is ill there, in both parts of the
-    space: ``cells.Tying(z.space, ...)``. The mean p_K needs finite elements or cubic
-    splines (``ufl.cell_avg``); with quadratic ones and uGIMP, set alpha = 0.
+    space: ``cells.Tying(z.space, ...)``.
 
     Volume is kept step by step, not since the start: J = 1 would have to correct what the last
     cells left, and corrections do work.
@@ -41,7 +44,7 @@ class MixedEnergyMomentum(EnergyMomentum):
         law: neo-Hookean law with volumetric="quadratic", whose p is linear in J; any for nu = 0.5.
         points: the body, with the fields of ``set_initial_state``.
         z: unknown with the increment of displacement u [m] and the pressure p of the step [Pa].
-        alpha: factor of the stabilization [-].
+        alpha: factor of the stabilization [-]; None for 1, or with splines 0.025.
 
     Attributes:
         algorithmic_stress: S from above [Pa], 3x3.
@@ -49,12 +52,12 @@ class MixedEnergyMomentum(EnergyMomentum):
             first) and those of the isochoric part. P, S and work are of that part only.
 
     Raises:
-        ValueError: for spaces without pressure, other volumetric laws, a negative alpha, or points
-            that have a field "theta" or "r".
+        ValueError: for spaces without pressure, other volumetric laws, a negative alpha, or one
+            that is not zero with uGIMP, or points that have a field "theta" or "r".
     """
 
     def __init__(
-        self, law: NeoHookean, points: MaterialPoints, z: Unknown, *, alpha: float = 1.0
+        self, law: NeoHookean, points: MaterialPoints, z: Unknown, *, alpha: float | None = None
     ) -> None:
         """Write down stress and strains."""
         z.require("u", "p", of="the mixed formulation")
@@ -64,8 +67,13 @@ class MixedEnergyMomentum(EnergyMomentum):
                 f"energy is kept with volumetric='quadratic' only, as pressures are linear in J "
                 f"there: {law!r}"
             )
+        self._is_smooth = functions_of(points) != "linear"
+        if alpha is None:
+            alpha = GAMMA / 2 if self._is_smooth else 1.0
         if not 0 <= alpha < float("inf"):
             raise ValueError(f"alpha must be finite and not negative: {alpha}")
+        if self._is_smooth and alpha > 0:
+            require_second_derivatives(points, "the stabilization (alpha > 0)")
         taken = sorted({"theta", "r"} & set(points.field_names))
         if taken:
             raise ValueError(f"the body has a field {taken[0]!r} already, which is to be made here")
@@ -79,8 +87,8 @@ class MixedEnergyMomentum(EnergyMomentum):
         points.add_field("theta", (), np.linalg.det(points["F"]) - 1 if is_compressible else 0.0)
         means = {"theta": law.inverse_kappa * p}
         if alpha > 0:
-            points.add_field("r", (), 0.0)
-            means["r"] = p - ufl.cell_avg(p)
+            means["r"] = self._rough(p)
+            points.add_field("r", means["r"].ufl_shape, 0.0)
         ends = {name: 2 * mean - points.field(name) for name, mean in means.items()}
         for name in ends:
             points.field(name).renewals = ends
@@ -96,8 +104,14 @@ class MixedEnergyMomentum(EnergyMomentum):
 
         constraint = (ufl.det(self.F) - ufl.det(F_n) - gain("theta")) * q
         if self._alpha > 0:
-            constraint -= self._alpha / self._law.mu * gain("r") * (q - ufl.cell_avg(q))
+            constraint -= self._alpha / self._law.mu * ufl.inner(gain("r"), self._rough(q))
         return super().power() + constraint / ufl.det(F_n) * points.dx
+
+    def _rough(self, f: Any) -> Any:
+        """What the stabilization takes for the rough part of a scalar function of the grid."""
+        if self._is_smooth:
+            return squared_size(self._points) * ufl.grad(ufl.grad(f))
+        return f - ufl.cell_avg(f)
 
     def volumetric_energy(self) -> float:
         """Energy of volumetric strain and stabilization [J] (collective)."""
@@ -106,5 +120,6 @@ class MixedEnergyMomentum(EnergyMomentum):
         if law.inverse_kappa > 0:
             psi += law.kappa / 2 * points["theta"] ** 2
         if self._alpha > 0:
-            psi += self._alpha / (2 * law.mu) * points["r"] ** 2
+            r = points["r"].reshape(len(points), -1)
+            psi += self._alpha / (2 * law.mu) * np.sum(r**2, axis=1)
         return float(points.mesh.comm.allreduce(float(points["V_0"] @ psi)))
