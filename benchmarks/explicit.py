@@ -3,9 +3,10 @@
 
 A block of neo-Hookean material, 2 points a direction in a cell, quadratic B-splines, F-bar, in the
 middle of a lattice that is little larger than it, or of several times its side. Each case is a
-process of its own, or one for each rank, bound to a core. Memory is the most that the process takes
-in the steps that are timed beyond what it took with dolfinx' mesh and function space, compiled code
-aside. "Each step" is the time of a step where all steps are yielded, by that where a block is.
+process of its own, or one for each rank, bound to a core; ``Rebalanced`` spreads points over ranks.
+Memory is the most that the process takes in the steps that are timed beyond what it took with
+dolfinx' mesh and function space, compiled code aside. "Each step" is the time of a step where all
+steps are yielded, by that where a block is.
 """
 
 import argparse
@@ -20,32 +21,29 @@ from pathlib import Path
 STAGES = ("P2G", "forces", "grid", "G2P", "stress and P2G", "begin", "convect")
 
 
-def space(dim, n, room):
-    """Velocities on a lattice around a block of n cells a direction, with one corner at 0."""
+def lattice(dim, n, room):
+    """A lattice around a block of n cells a direction, with one corner at 0."""
     from mpi4py import MPI
 
     import numpy as np
-    from dolfinx import fem, mesh
+    from dolfinx import mesh
 
     around = (round((room - 1) * n) + 4) // 2
     corners, shape = [np.full(dim, -around), np.full(dim, n + around)], [n + 2 * around] * dim
     if dim == 2:
-        domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, shape, mesh.CellType.quadrilateral)
-    else:
-        domain = mesh.create_box(MPI.COMM_WORLD, corners, shape, mesh.CellType.hexahedron)
-    return fem.functionspace(domain, ("Lagrange", 1, (dim,)))
+        return mesh.create_rectangle(MPI.COMM_WORLD, corners, shape, mesh.CellType.quadrilateral)
+    return mesh.create_box(MPI.COMM_WORLD, corners, shape, mesh.CellType.hexahedron)
 
 
-def simulation(V, n, functions, way):
+def simulation(domain, n, functions, way):
     """A block that is sheared a little, by kernels or by forms, in steps of equal length."""
     import numpy as np
-    from dolfinx import fem
 
     from fenicsmpm import ExplicitMPM, basis, formulations, points
     from fenicsmpm.materials import NeoHookean
 
-    domain, dim = V.mesh, V.mesh.geometry.dim
-    z = formulations.Unknown(fem.Function(V), "v")
+    dim = domain.geometry.dim
+    z = formulations.Unknown(domain, "v")
     body = points.lattice(
         domain, 0.5, inside=lambda x: np.all((x[:dim] > 0) & (x[:dim] < n), axis=0)
     )
@@ -67,33 +65,41 @@ def measure(dim, count, room, repeats, functions, way):
     from mpi4py import MPI
 
     import numpy as np
+    from dolfinx import fem
+
+    from fenicsmpm.simulation import Rebalanced
 
     steps, comm = 100 if way == "kernels" else 5, MPI.COMM_WORLD
     n = round((count / 2**dim) ** (1 / dim))
 
-    def run(sim, singly=False):
+    def run(spread, singly=False):
         """Seconds for a step, of some that are yielded together or one by one."""
         comm.barrier()
-        start, number = time.perf_counter(), sim.number
-        until = sim.time + steps * sim.dt
-        for _ in sim.run(until, None if singly else until - sim.time):
+        start, number = time.perf_counter(), spread.sim.number
+        until = spread.sim.time + steps * spread.sim.dt
+        for _ in spread.run(until, interval=None if singly else until - spread.sim.time):
             pass
         comm.barrier()
-        return (time.perf_counter() - start) / (sim.number - number)
+        return (time.perf_counter() - start) / (spread.sim.number - number)
 
-    small = simulation(space(dim, 8, 1.0), 8, functions, way)  # compiles
-    run(small)
-    V = space(dim, n, room)
+    small = simulation(lattice(dim, 8, 1.0), 8, functions, way)  # compiles
+    for _ in small.run(steps * small.dt):
+        pass
+    domain = lattice(dim, n, room)
+    space = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
     memory = _memory("VmRSS")
-    sim = simulation(V, n, functions, way)
-    run(sim)
+    del space
+    spread = Rebalanced(lambda domain: simulation(domain, n, functions, way), domain, most=1.1)
+    del domain
+    run(spread)
+    sim = spread.sim
     sim.seconds.clear()
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5")  # forget what was the most so far
-    blocks = [run(sim) for _ in range(repeats)]
+    blocks = [run(spread) for _ in range(repeats)]
     used = comm.allreduce(_memory("VmHWM") - memory)
     shares = dict(sim.seconds)
-    singly = [run(sim, singly=True) for _ in range(repeats)]
+    singly = [run(spread, singly=True) for _ in range(repeats)]
     if comm.rank == 0:
         total, count = sum(shares.values()), sim.bodies[0].size_global
         result = {

@@ -151,3 +151,25 @@ def probe(points: MaterialPoints, name: str) -> Any:
         )
     values = points.mesh.comm.allgather(np.array(points[name]))
     return np.concatenate(values)[0]
+
+
+def turning_points(
+    t: npt.NDArray[np.float64], values: npt.NDArray[np.float64], apart: float = 0.2
+) -> list[tuple[float, float]]:
+    """Peaks and minima of a curve, in their order in time.
+
+    Args:
+        t: times, ascending, ``(n,)`` [s].
+        values: of the curve, ``(n,)``, linear between these times.
+        apart: turns that another one exceeds within this time are noise [s].
+
+    Returns:
+        Times [s] and values.
+    """
+    from scipy.signal import argrelextrema  # whose import takes long
+
+    step = apart / 80
+    grid = np.arange(t[0], t[-1], step)
+    curve = np.interp(grid, t, values)
+    found = [argrelextrema(curve, kind, order=80)[0] for kind in (np.greater, np.less)]
+    return [(float(grid[k]), float(curve[k])) for k in np.sort(np.concatenate(found))]

@@ -4,17 +4,22 @@
 The problems are those of demos/bending_beam.py and demos/twisting_column.py: sections 6.3 and 6.4
 of VMS. Cases 1 to 5 are its sizes of cells and points a cell; "cmn" is the case of the slides of
 Moreno, Contri and Larese (CMN 2022) with Miehe's volumetric law and, here, subscales with inertia
-and tied nodes. Displacements of the corner are compared with Taylor-Hood P2-P1 finite elements. A
-run takes hours: it writes its history, a series for ParaView and a checkpoint to go on from.
+and tied nodes. "smooth" and its variants have quadratic B-splines on cubes of 0.25 m and 8 points a
+cell: dissipative with the interior penalty, "energy" conserving. Displacements of the corner are
+compared with Taylor-Hood P2-P1 finite elements. A run of table 1 takes hours: it writes its
+history, a series for ParaView and a checkpoint to go on from.
 """
 
 import sys
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 import typer
+from dolfinx import mesh
 
-from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm import ImplicitMPM, basis, formulations, io, points
 from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.diagnostics import kinetic_energy, probe, strain_energy
 from fenicsmpm.materials import NeoHookean
@@ -27,11 +32,16 @@ from column import column  # noqa: E402
 TABLE_1 = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # m, points a cell
 CASES = {str(i): {"h": h, "per_cell": n} for i, (h, n) in enumerate(TABLE_1, start=1)}
 CASES["cmn"] = {"h": 0.2, "per_cell": 16, "volumetric": "miehe", "transient": True, "tied": True}
+SMOOTH = {"h": 0.25, "per_cell": 8, "functions": "quadratic", "tied": True}
+CASES["smooth"] = SMOOTH | {"stabilization": "cip"}
+CASES["smooth-cmn"] = CASES["smooth"] | {"volumetric": "miehe", "transient": True}
+CASES["energy"] = SMOOTH | {"stabilization": "hessian", "scheme": "Midpoint"}
 # Half the width of the background mesh [m], the number of points along a side is a multiple of;
-# end of a run, until when u_x has its first peak [s]; what is different in the case of CMN
+# end of a run, until when u_x has its first peak [s]; what is different in the cases of CMN; steps
+# of smooth functions [s]
 COLUMNS = {
-    "bending_beam": ((4.5, 1.0), 2, 3.0, 0.9, {"dt": 0.01}),
-    "twisting_column": ((1.25, 1.25), 4, 0.5, 0.07, {"speed": 1.05}),
+    "bending_beam": ((4.5, 1.0), 2, 3.0, 0.9, {"dt": 0.01}, 0.005),
+    "twisting_column": ((1.25, 1.25), 4, 0.5, 0.07, {"speed": 1.05}, 0.001),
 }
 
 
@@ -41,36 +51,58 @@ def velocity(name, x):
     return 100 * np.sin(np.pi * x[2] / 12) * np.array([x[1], -x[0], 0 * x[2]])
 
 
-def build(
-    name, h=0.25, per_cell=12, dt=0.001, stabilization="asgs", scheme="Bossak", speed=1.0,
-    volumetric="quadratic", transient=False, tied=False,
-):  # fmt: skip
-    """The loop; its carried point is the corner."""
+def tetrahedra(name, h, per_cell):
+    """Mesh of the papers, and distance of the points [m]."""
     (half_x, half_y), unit, *_ = COLUMNS[name]
     domain, tags = column(h, (-half_x, -half_y, 0), (half_x, half_y, 7))
     in_body = np.sum(tags.values[tags.indices < domain.topology.index_map(3).size_local] == 1)
     # a cubic lattice, which begins at the corner of the mesh and has to fit the body's
     count = domain.comm.allreduce(int(in_body)) * per_cell / 6
-    spacing = 1 / (unit * round(count ** (1 / 3) / unit))
+    return domain, 1 / (unit * round(count ** (1 / 3) / unit))
+
+
+def cubes(name, h, per_cell):
+    """Mesh of cubes, whose faces are those of the column, and distance of the points [m]."""
+    half = np.ceil(np.array([*COLUMNS[name][0], 0]) / h - 1e-9) * h
+    corners = [-half, half + (0, 0, 7)]
+    shape = np.rint((corners[1] - corners[0]) / h).astype(int)
+    kind, partitioner = mesh.CellType.hexahedron, basis.shared_vertex_partitioner
+    domain = mesh.create_box(MPI.COMM_WORLD, corners, shape, kind, partitioner=partitioner)
+    return domain, h / round(per_cell ** (1 / 3))
+
+
+def build(
+    name, h=0.25, per_cell=12, dt=0.001, stabilization="asgs", scheme="Bossak", speed=1.0,
+    volumetric="quadratic", transient=False, tied=False, functions="linear",
+):  # fmt: skip
+    """The loop, and the energy of stabilization [J]; its carried point is the corner."""
+    domain, spacing = (tetrahedra if functions == "linear" else cubes)(name, h, per_cell)
     body = points.lattice(domain, spacing, lambda x: np.all(np.abs(x) < [[0.5], [0.5], [6]], 0))
     formulations.set_initial_state(body, 1100.0, lambda x: speed * velocity(name, x))  # kg/m^3
     tip = points.at(domain, (0.5, 0.5, 6.0))
+    if functions != "linear":
+        for p in (body, tip):
+            basis.use(p, functions, spacing / 2 if functions == "gimp" else None)
     law = NeoHookean(1.7e7, nu=0.5, volumetric=volumetric)  # Pa
     z = formulations.Unknown(domain, "u", "p")
     z.fix("u", lambda x: np.isclose(x[2], 0))
     scheme = getattr(formulations, scheme)(z, dt=dt)
-    inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}
-    R = formulations.stabilized(stabilization, z, body, law, **inertia)
     cells = ActiveCells(body, loads=[tip])
-    newton = {"keep_tangent": 0.01}  # steps are short enough for one tangent each
+    newton, stored = {"keep_tangent": 0.01}, lambda: 0.0  # steps are short: one tangent each
+    if conserves := isinstance(scheme, formulations.Midpoint):
+        stress = formulations.MixedEnergyMomentum(law, body, z)
+        R, stored = stress.power() + scheme.inertia(body), stress.volumetric_energy
+    else:
+        inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}
+        R = formulations.stabilized(stabilization, z, body, law, cells=cells, **inertia)
     if tied:
         newton["tying"] = Tying(z.space, body, cells)
     else:
         R += formulations.ghost_penalty(z, cells, law)
+    observers = [] if conserves else [lambda sim, step: correct_weights(body, cells)]
     return ImplicitMPM(
-        R, z, scheme, body, carried=[tip], taylor=True, newton=newton,
-        observers=[lambda sim, step: correct_weights(body, cells)],
-    )  # fmt: skip
+        R, z, scheme, body, carried=[tip], taylor=not conserves, newton=newton, observers=observers
+    ), stored
 
 
 def run(name, until, file, restart=False, saves=100, **case):
@@ -78,12 +110,13 @@ def run(name, until, file, restart=False, saves=100, **case):
 
     A checkpoint is saved after every ``saves`` steps.
     """
-    sim, halved, checkpoint = build(name, **case), 0, Path(f"output/{file}.h5")
+    (sim, stored), halved, checkpoint = build(name, **case), 0, Path(f"output/{file}.h5")
     if restart and checkpoint.exists():
         io.checkpoint.restore(checkpoint, sim)
     tip = {f"u_{'xyz'[i]} [m]": lambda sim, i=i: probe(sim.carried[0], "u")[i] for i in range(3)}
     body, law = sim.bodies[0], NeoHookean(1.7e7, nu=0.5)
-    columns = tip | {"energy [J]": lambda sim: kinetic_energy(body) + strain_energy(body, law)}
+    energies = kinetic_energy, lambda body: strain_energy(body, law), lambda body: stored()
+    columns = tip | {"energy [J]": lambda sim: sum(energy(body) for energy in energies)}
     # called by hand, as they need the loop's body
     history = io.History(columns, f"output/{file}.csv", case, append=restart)
     series = io.Series(f"output/{file}.vtkhdf", body, case, every=0.02, append=restart)
@@ -103,13 +136,14 @@ def run(name, until, file, restart=False, saves=100, **case):
 
 def main(
     name: str, cases: list[str] = ["1", "2", "3", "4", "5"], until: float | None = None,
-    stabilization: str = "asgs", scheme: str = "Bossak", restart: bool = False,
+    stabilization: str = "asgs", scheme: str = "Bossak", h: float | None = None,
+    dt: float | None = None, restart: bool = False,
 ):  # fmt: skip
-    """Run CASES (1 to 5 of table 1, or cmn) of bending_beam or twisting_column."""
+    """Run CASES (1 to 5 of table 1, cmn, smooth, energy) of bending_beam or twisting_column."""
     if name not in COLUMNS or not set(cases) <= set(CASES):
         known = f"columns are {', '.join(COLUMNS)}, cases {', '.join(CASES)}"
         raise typer.BadParameter(f"{name}, {', '.join(cases)}: {known}")
-    _, _, end, window, of_cmn = COLUMNS[name]
+    _, _, end, window, of_cmn, step = COLUMNS[name]
     titles = {"case": "s", "first peak of u_x [m]": ".4f", "at [s]": ".3f", "end [s]": ".3f"}
     rates = {"largest deviation": ".1%", "energy left": ".1%"}
     table = io.Table({**titles, **rates, "halved steps": "d"})
@@ -117,9 +151,11 @@ def main(
     curves, first = {}, np.argmax(np.abs(known[1, known[0] <= window]))
     table.row("P2-P1", known[1, first], known[0, first], *[None] * 4)
     for case in cases:
-        options = CASES[case] | (of_cmn if case == "cmn" else {})
-        options |= {"stabilization": stabilization, "scheme": scheme}
-        file = f"{name}_{case}_{stabilization}_{scheme}"
+        options = {"stabilization": stabilization, "scheme": scheme} | CASES[case]
+        options |= {"dt": step} if "functions" in options else {}
+        options |= of_cmn if case.endswith("cmn") else {}
+        options |= {key: value for key, value in {"h": h, "dt": dt}.items() if value}
+        file = f"{name}_{case}_{options['stabilization']}_{options['scheme']}"
         history, body, halved = run(name, until or end, file, restart, **options)
         t, u_x, left = (history[title] for title in ("t [s]", "u_x [m]", "energy [J]"))
         curves[f"case {case}"], first = (t, u_x), np.argmax(np.abs(u_x[t <= window]))

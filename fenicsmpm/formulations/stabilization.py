@@ -37,8 +37,17 @@ def ppp(z: Unknown, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0
 
     Returns:
         UFL form of rank 1.
+
+    Raises:
+        ValueError: for points that see quadratic splines or uGIMP.
     """
     z.require("u", "p", of="PPP")
+    name = functions_of(points)
+    if name not in ("linear", "cubic"):
+        raise ValueError(
+            "PPP takes averages over the points of a cell, which do not see the same functions if "
+            f'these are {name} ones: use "cip", "split_osgs" or, with splines, "hessian"'
+        )
     p, q, j = z.p, z.test.p, Kinematics(z.u, points).j
     rough_p = p - ufl.cell_avg(p)
     rough_q = q - ufl.cell_avg(q)
