@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Which orders of convergence the Material Point Method has, and what costs them.
 
-Two manufactured motions: standing waves in a box of rollers, with points that stay in their cells
-or cross some, and a ring whose layers turn. Each row is a set of grid functions and a time loop;
-what is suspected to cost the order is switched off one by one. Prints a table of the errors of
-displacement, with the slopes of their regression lines.
+Manufactured motions: standing waves in a box of rollers, with points that stay in their cells or
+cross some, a ring whose layers turn, and an incompressible block at rest. Each row is a set of grid
+functions and a time loop; what is suspected to cost the order is switched off one by one. Prints a
+table of the errors of displacement, and of pressure (p), with the slopes of their regression lines.
 """
 
 import math
@@ -12,13 +12,15 @@ import math
 from mpi4py import MPI
 
 import numpy as np
+import typer
 import ufl
-from dolfinx import mesh
+from dolfinx import fem, mesh
 
-from fenicsmpm import ExplicitMPM, ImplicitMPM, basis, io, points
+from fenicsmpm import ExplicitMPM, ImplicitMPM, basis, forms, io, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.materials import NeoHookean
+from fenicsmpm.solvers import NewtonSolver, solve_in_load_steps
 from fenicsmpm.verification import Manufactured, axis_aligned_waves, generalized_vortex, ring
 
 DENSITY = 1000.0  # kg/m^2
@@ -41,7 +43,7 @@ def see(body, functions, spacing):
 
 
 def waves(n, functions, loop, amplitude, per=2, lumping=1.0, flip=1.0, corrected=False, until=0.2):
-    """Error of the displacement in the box, n cells a side."""
+    """Error in the box, n cells a side."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, mesh.CellType.quadrilateral)
     body = points.fill(domain, per)
     see(body, functions, 1 / n / per)
@@ -77,11 +79,47 @@ def waves(n, functions, loop, amplitude, per=2, lumping=1.0, flip=1.0, corrected
     for _ in sim.run(until):
         pass
     exact.set_time(sim.time)
-    return exact.error(body, "u")
+    return {"": exact.error(body, "u")}
+
+
+def block(n, functions, formulation, per=3):
+    """Errors in a block at rest whose boundary is held as in demos/manufactured_solution.py."""
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, mesh.CellType.quadrilateral)
+    body = points.fill(domain, per)
+    see(body, functions, 1 / n / per)
+    law, cells = NeoHookean(10e6, 0.5), ActiveCells(body)
+
+    def displacement(X, t):
+        u = 0.01 * t * (X[0] + X[1]) ** 2 * ufl.exp(X[0] + X[1])
+        return u, -u
+
+    def pressure(X, t):
+        return t * law.E / 3 * ufl.sin(2 * ufl.pi * X[0]) * ufl.cos(2 * ufl.pi * X[1])
+
+    energy = elastic(law, is_mixed=True)
+    stress = lambda F, rate: ufl.diff(energy(F), F)  # noqa: E731
+    exact = Manufactured(domain, displacement, stress, 1.0, pressure)
+    z = fm.Unknown(domain, "u", "p")
+    held = fem.Function(z.part_space("u"))
+    z.fix("u", lambda x: np.isclose(x[0] * (1 - x[0]) * x[1] * (1 - x[1]), 0), held)
+    z.fix("p", lambda x: np.isclose(x[0] + x[1], 0))
+    R = fm.stabilized(formulation, z, body, law, force=exact.force(body), cells=cells)
+
+    def set_load(factor):
+        exact.set_time(factor)
+        held.x.array[:] = exact.interpolate("u", z.part_space("u")).x.array
+
+    solve_in_load_steps(NewtonSolver(R, z.U, z.bcs, line_search=True), set_load)
+    body.add_field("u", (2,), forms.evaluate(z.u, body))
+    body.add_field("V_0", (), body.weight)
+    p = forms.evaluate(z.p, body)
+    level = body.weight @ (p - forms.evaluate(exact.at(body).p, body)) / body.weight.sum()
+    body.add_field("p", (), p - level)
+    return {"": exact.error(body, "u"), " (p)": exact.error(body, "p")}
 
 
 def vortex(n, functions, formulation, tied=True, corrected=True, angle=0.3):
-    """Error of the displacement in the ring, whose points move by up to 0.3 m; n cells a side."""
+    """Errors in the ring, whose points move by up to 0.3 m; n cells a side."""
     h = 3 / n
     lattice = functions != "linear"
     kind = mesh.CellType.quadrilateral if lattice else mesh.CellType.triangle
@@ -92,26 +130,34 @@ def vortex(n, functions, formulation, tied=True, corrected=True, angle=0.3):
     law = NeoHookean(1e3, 0.5 if is_mixed else 0.3)
     energy = elastic(law, is_mixed)
     motion = generalized_vortex(angle)
-    exact = Manufactured(domain, motion, lambda F, rate: ufl.diff(energy(F), F), DENSITY)
+
+    def pressure(X, t):  # zero at the surfaces of the ring
+        return law.mu * t * ufl.sin(2 * ufl.pi * (ufl.sqrt(ufl.inner(X, X)) - 0.75))
+
+    exact = Manufactured(
+        domain, motion, lambda F, rate: ufl.diff(energy(F), F), DENSITY,
+        pressure if is_mixed else None,
+    )  # fmt: skip
     exact.set_initial_state(body)
     z = fm.Unknown(domain, "u", *(["p"] if is_mixed else []))
     scheme = fm.Bossak(z, dt=0.4 * h)
     force, cells = scheme.force(body, exact.force(body)), ActiveCells(body)
     if is_mixed:
-        R = fm.stabilized(formulation, z, body, law, force=force, scheme=scheme)
+        transient = {"scheme": scheme, "cells": cells}
+        R = fm.stabilized(formulation, z, body, law, force=force, **transient)
     else:
         P = fm.Response(energy, body, fm.Kinematics(z.u, body).F).P
         R = fm.stress_power(P, z.test.u, body) - ufl.inner(force, z.test.u) * body.dx
     corrections = [lambda sim, step: correct_weights(body, cells)]
     sim = ImplicitMPM(
         R, z, scheme, body, data=exact.at_end,
-        observers=corrections if corrected and not lattice else [],
-        newton={"tying": Tying(z.space, body, cells)} if tied and not lattice else {},
+        observers=corrections if corrected else [],
+        newton={"tying": Tying(z.space, body, cells)} if tied else {},
     )  # fmt: skip
     for _ in sim.run(0.5):
         pass
     exact.set_time(sim.time)
-    return exact.error(body, "u")
+    return {"": exact.error(body, "u")} | ({" (p)": exact.error(body, "p")} if is_mixed else {})
 
 
 def rows(small=5e-4, large=0.05):
@@ -135,32 +181,51 @@ def rows(small=5e-4, large=0.05):
         ("linear", "u", {}),
         ("linear", "u", {"corrected": False}),
         ("linear", "u", {"tied": False, "corrected": False}),
+        ("quadratic", "u", {"tied": False, "corrected": False}),
         ("quadratic", "u", {}),
         ("linear", "asgs", {}),
         ("linear", "asgs", {"corrected": False}),
         ("linear", "osgs", {}),
+        ("linear", "cip", {}),
+        ("quadratic", "cip", {}),
+        ("quadratic", "cip", {"corrected": False}),
+        ("quadratic", "hessian", {}),
+        ("quadratic", "split_osgs", {}),
+        ("gimp", "cip", {}),
     ):
         without = "".join(f", not {name}" for name in options)
         given = {"functions": functions, "formulation": formulation, **options}
         yield f"vortex: {functions}, {formulation}{without}", vortex, given
+    for functions in ("linear", "quadratic", "cubic"):
+        for formulation in ("cip", "split_osgs", *(["hessian"] if functions != "linear" else [])):
+            given = {"functions": functions, "formulation": formulation}
+            yield f"block: {functions}, {formulation}", block, given
 
 
-def main(waves_on=(8, 16, 32), vortex_on=(24, 48, 96)):
+def main(
+    waves_on: list[int] = [8, 16, 32], vortex_on: list[int] = [24, 48, 96],
+    block_on: list[int] = [8, 16, 32, 64], only: str = "",
+):  # fmt: skip
+    """Print the rows whose case begins with ONLY, on meshes of these numbers of cells a side."""
+    sizes = {waves: waves_on, vortex: vortex_on, block: block_on}
     table = io.Table(
         {"case".ljust(50): "s", "coarse": ".2e", "medium": ".2e", "fine": ".2e", "order": ".2f"}
     )
-    for title, error, options in rows():
-        sizes = waves_on if error is waves else vortex_on
+    for title, errors, options in rows():
+        if not title.startswith(only):
+            continue
         found = []
-        for n in sizes:
+        for n in sizes[errors]:
             try:
-                found.append(error(n, **options))
+                found.append(errors(n, **options))
             except RuntimeError:  # no solution
-                found.append(None)
-        known = [(n, e) for n, e in zip(sizes, found, strict=True) if e is not None]
-        order = -np.polyfit(*np.log(known).T, 1)[0] if len(known) > 1 else None
-        table.row(title.ljust(50), *found, order)
+                found.append({})
+        for part in max(found, key=len):
+            values = [some.get(part) for some in found]
+            known = [(n, e) for n, e in zip(sizes[errors], values, strict=True) if e is not None]
+            order = -np.polyfit(*np.log(known).T, 1)[0] if len(known) > 1 else None
+            table.row((title + part).ljust(50), *values[-3:], order)
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

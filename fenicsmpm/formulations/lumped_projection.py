@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import ufl
 from dolfinx import fem, la
@@ -62,11 +64,20 @@ class LumpedProjection(fem.Function):
             raise ValueError("a projection cannot have another projection in it")
         self._compiled = forms.form(self.sums)
         self.is_held = False
+        self._volumes: la.Vector | None = None
+        self._version, self._weights = -1, np.empty(0)
 
     def volumes(self) -> la.Vector:
         """Of the points at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""
-        # what is zero but for round-off would give any mean
-        return p2g(self.points, self.points.weight, self.function_space, rounded=True)
+        points = self.points
+        known = self._volumes is not None and self._version == points.version
+        is_same = known and np.array_equal(self._weights, points.weight)
+        if not points.mesh.comm.allreduce(is_same, MPI.LAND):
+            self._version, self._weights = points.version, points.weight.copy()
+            # what is zero but for round-off would give any mean
+            self._volumes = p2g(points, points.weight, self.function_space, rounded=True)
+        assert self._volumes is not None
+        return self._volumes
 
     def follow_points(self) -> None:
         """Project anew, unless held; forms do it before each use (collective)."""

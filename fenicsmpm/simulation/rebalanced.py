@@ -119,7 +119,8 @@ class Rebalanced:
         """
         steps: Iterator[Step] | None = None
         while True:
-            plan = self._better()
+            # a new mesh is of no use after the last step
+            plan = self._better() if self.sim.time < until else None
             if plan is not None:
                 steps = None  # which would keep the old simulation
                 self._go_to(plan)
