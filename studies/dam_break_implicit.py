@@ -13,7 +13,8 @@ import typer
 import ufl
 from dolfinx import fem, la, mesh
 
-from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm import ImplicitMPM, basis, formulations, io, points
+from fenicsmpm.cells import ActiveCells
 from fenicsmpm.solvers import NewtonError
 from fenicsmpm.transfer import p2g
 
@@ -35,10 +36,16 @@ OTHERS = np.array([
 ])  # fmt: skip
 
 
-def build(h, dt, scheme="BDF2", stabilization="asgs"):
+def build(h, dt, scheme="BDF2", stabilization="asgs", functions="linear"):
     cells, crossed = [round(side / h) for side in BOX], mesh.DiagonalType.crossed
-    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), BOX], cells, diagonal=crossed)
-    water = points.quadrature(domain, degree=4, inside=lambda x: (x[0] < 1) & (x[1] < 2))
+    is_smooth, inside = functions != "linear", lambda x: (x[0] < 1) & (x[1] < 2)
+    kind = mesh.CellType.quadrilateral if is_smooth else mesh.CellType.triangle
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), BOX], cells, kind, diagonal=crossed)
+    if is_smooth:  # 25 points a square, as in four triangles
+        water = points.fill(domain, 5, inside=inside)
+        basis.use(water, functions, h / 10 if functions == "gimp" else None)
+    else:
+        water = points.quadrature(domain, degree=4, inside=inside)
     formulations.set_initial_state(water, DENSITY)
     z = formulations.Unknown(domain, "u", "p")
     z.fix("u", lambda x: np.isclose(x[0], 0) | np.isclose(x[0], BOX[0]), component=0)
@@ -46,8 +53,12 @@ def build(h, dt, scheme="BDF2", stabilization="asgs"):
     scheme = getattr(formulations, scheme)(z, dt=dt)
     law, g = formulations.NewtonianFlow(1e-3, DENSITY, scheme), fem.Constant(domain, (0.0, -G))
     R = formulations.mixed(z, water, law, force=formulations.density(water) * g)
-    subscales = getattr(formulations, stabilization)
-    R += scheme.lumped(water) + subscales(z, water, law, force=scheme.force(water, g))
+    R += scheme.lumped(water)
+    if is_smooth:
+        R += formulations.interior_penalty(z, ActiveCells(water), law)
+    else:
+        subscales = getattr(formulations, stabilization)
+        R += subscales(z, water, law, force=scheme.force(water, g))
     nodes, total = fem.functionspace(domain, ("Lagrange", 1)), domain.comm.allreduce
     around = fem.assemble_vector(fem.form(ufl.TestFunction(nodes) * ufl.dx))
     around.scatter_reverse(la.InsertMode.add)
@@ -91,15 +102,17 @@ def main(
     until: float = 0.9,
     scheme: str = "BDF2",
     stabilization: str = "asgs",
+    functions: str = "linear",
 ):
     """Cells of size h in m; schemes as in formulations; stabilization: asgs or osgs."""
     if scheme not in SCHEMES or stabilization not in ("asgs", "osgs"):
         raise typer.BadParameter(f"schemes: {', '.join(SCHEMES)}; stabilizations: asgs, osgs")
     if any(not np.isclose(0.2 / size % 1, [0, 1]).any() for size in h):
         raise typer.BadParameter("cells of 0.2 m, or that by an integer")
-    rows, fronts, name = [], {}, f"output/dam_break_implicit_{scheme}_{stabilization}"
+    how = stabilization if functions == "linear" else functions
+    rows, fronts, name = [], {}, f"output/dam_break_implicit_{scheme}_{how}"
     for size in h:
-        sim, history = build(size, dt, scheme, stabilization)
+        sim, history = build(size, dt, scheme, stabilization, functions)
         try:
             for _ in io.watch(sim.run(until), until, f"h = {size:g} m"):
                 pass

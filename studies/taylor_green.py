@@ -2,7 +2,8 @@
 """Orders of convergence of Taylor and Green's vortex, and what triangles do to it.
 
 The number of points along the side of a triangle grows as cells become smaller, from 4 to 16, or
-stays at 4: then errors of integration end the convergence.
+stays at 4: then errors of integration end the convergence. With splines on squares (FUNCTIONS),
+points along a side of a square are half as many again.
 """
 
 from mpi4py import MPI
@@ -11,7 +12,8 @@ import numpy as np
 import typer
 from dolfinx import mesh
 
-from fenicsmpm import ImplicitMPM, formulations, io, points
+from fenicsmpm import ImplicitMPM, basis, formulations, io, points
+from fenicsmpm.cells import ActiveCells
 
 POINTS = {8: 4, 16: 8, 32: 16}  # along the side of a triangle, by the squares along the box
 
@@ -22,11 +24,14 @@ def exact(x, t, viscosity):
     return decay * np.array([np.sin(a) * np.cos(b), -np.cos(a) * np.sin(b)])
 
 
-def error(n, per_side, viscosity=0.1, diagonal="crossed", until=0.1):
+def error(n, per_side, viscosity=0.1, diagonal="crossed", until=0.1, functions="linear"):
     """Relative L2 error of the points' velocity, and the points."""
-    kind = getattr(mesh.DiagonalType, diagonal)
-    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, diagonal=kind)
-    fluid = points.fill(domain, per_side)
+    kind, is_smooth = getattr(mesh.DiagonalType, diagonal), functions != "linear"
+    cell = mesh.CellType.quadrilateral if is_smooth else mesh.CellType.triangle
+    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, cell, diagonal=kind)
+    fluid = points.fill(domain, per_side * 3 // 2 if is_smooth else per_side)
+    if is_smooth:
+        basis.use(fluid, functions)
     formulations.set_initial_state(fluid, 1.0, velocity=lambda x: exact(x, 0.0, viscosity))
     z = formulations.Unknown(domain, "u", "p")
     for k in range(2):
@@ -35,7 +40,10 @@ def error(n, per_side, viscosity=0.1, diagonal="crossed", until=0.1):
     scheme = formulations.Newmark(z, dt=0.05 / n)
     law = formulations.NewtonianFlow(viscosity, 1.0, scheme)
     R = formulations.mixed(z, fluid, law) + scheme.lumped(fluid)
-    R += formulations.asgs(z, fluid, law, force=scheme.force(fluid))
+    if is_smooth:
+        R += formulations.interior_penalty(z, ActiveCells(fluid), law)
+    else:
+        R += formulations.asgs(z, fluid, law, force=scheme.force(fluid))
     sim = ImplicitMPM(R, z, scheme, fluid, taylor=True)
     for _ in io.watch(sim.run(until), until, f"1/{n}, {per_side**2} points a cell"):
         pass
@@ -45,7 +53,10 @@ def error(n, per_side, viscosity=0.1, diagonal="crossed", until=0.1):
     return np.sqrt(found / size), fluid
 
 
-def main(viscosity: float = 0.1, diagonal: str = "crossed", until: float = 0.1, finest: int = 32):
+def main(
+    viscosity: float = 0.1, diagonal: str = "crossed", until: float = 0.1, finest: int = 32,
+    functions: str = "linear",
+):  # fmt: skip
     """Viscosity in Pa s; diagonals of squares: crossed, left_right or right."""
     if diagonal not in ("crossed", "left_right", "right"):
         raise typer.BadParameter(f"diagonals: crossed, left_right, right, not {diagonal}")
@@ -54,13 +65,15 @@ def main(viscosity: float = 0.1, diagonal: str = "crossed", until: float = 0.1, 
     for label, per in {"growing number": POINTS, "16": dict.fromkeys(POINTS, 4)}.items():
         found = []
         for n in sizes:
-            found.append(error(n, per[n], viscosity, diagonal, until)[0])
+            found.append(error(n, per[n], viscosity, diagonal, until, functions)[0])
             order = np.log2(found[-2] / found[-1]) if len(found) > 1 else None
-            table.row(f"{per[n] ** 2}", f"1/{n}", found[-1], order)
+            a_cell = per[n] ** 2 if functions == "linear" else (per[n] * 3 // 2) ** 2
+            table.row(f"{a_cell}", f"1/{n}", found[-1], order)
         curves[f"{label} of points a cell"] = -np.log2(sizes), np.log10(found)
     second = np.log10(0.7 * found[-1]) - 2 * np.log10(sizes / sizes[-1])
     labels, known = ("log2 h", "log10 error of velocity"), {"order 2": (-np.log2(sizes), second)}
-    io.plot(f"output/taylor_green_errors_{diagonal}.png", curves, *labels, reference=known)
+    kind = diagonal if functions == "linear" else functions
+    io.plot(f"output/taylor_green_errors_{kind}.png", curves, *labels, reference=known)
 
 
 if __name__ == "__main__":
