@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -24,10 +26,9 @@ class ActiveCells:
     A cell is active if some point sees all its nodes: with finite elements, if it holds a point;
     splines and uGIMP see further cells. Those of loads count as those of bodies do; and where there
     are loads but nothing of a body, all cells around are active too, so that there is a way to the
-    body over facets. An active cell is cut if
-    it holds nothing of a body, or if one of its facets leads to a cell that is not active. The
-    measures are for UFL forms, which are
-    assembled over the cells and facets of the moment.
+    body over facets. An active cell is cut if it holds nothing of a body, or if one of its facets
+    leads to a cell that is not active. The measures are for UFL forms, which are assembled over the
+    cells and facets of the moment.
 
     Args:
         bodies: point sets on one mesh.
@@ -39,6 +40,10 @@ class ActiveCells:
         dx: measure of integrals over the active cells.
         dS: measure of integrals over the facets between two active cells of which one is cut.
         dS_all: the same over all facets between two active cells.
+
+    Raises:
+        ValueError: for no bodies, or sets on several meshes; on all ranks, whenever cells are asked
+            for, for a load so far from all bodies that no active cells lead there.
     """
 
     def __init__(self, *bodies: MaterialPoints, loads: Sequence[MaterialPoints] = ()) -> None:
@@ -118,7 +123,6 @@ class ActiveCells:
     def _update(self) -> None:
         if self._version == self.version:
             return
-        self._version = self.version
         topology = self.mesh.topology
         cell_map = topology.index_map(topology.dim)
         owned = cell_map.size_local
@@ -139,6 +143,8 @@ class ActiveCells:
                 active.array[stencil_of(points).seen_cells()] = 1.0
             active.scatter_reverse(la.InsertMode.add)
         active.scatter_forward()
+        filled.scatter_forward()
+        self._require_way(active, filled)
         # facets of the mesh's own boundary have one cell, repeated: nothing is missing there
         first, second = active.array[self._facet_cells].T > 0
         between = self._facet_cells[first != second]
@@ -156,6 +162,35 @@ class ActiveCells:
         self._is_cut = touched[self._facets]
         self._cells = np.flatnonzero(active.array[:owned]).astype(np.int32)
         self._cut_cells = np.flatnonzero(is_cut[:owned]).astype(np.int32)
+        self._version = self.version
+
+    def _require_way(self, active: la.Vector, filled: la.Vector) -> None:
+        """Raise ValueError for loads from which no active cells lead to a body (collective)."""
+        if not self._loads:
+            return
+        comm, pairs = self.mesh.comm, self._facet_cells
+        pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (active.array[pairs] > 0).all(axis=1)]
+        reached = filled.array > 0
+        marks = la.vector(filled.index_map)
+        while True:
+            known = reached[pairs]
+            step = pairs[known.any(axis=1) & ~known.all(axis=1)]
+            if not comm.allreduce(len(step) > 0, MPI.LOR):
+                break
+            reached[step] = True
+            marks.array[:] = reached
+            marks.scatter_reverse(la.InsertMode.add)
+            marks.scatter_forward()
+            reached = marks.array > 0
+        lost = [points.x[~reached[points.cell]] for points in self._loads]
+        found = [x.tolist() for x in np.concatenate(lost)[:1]]
+        everywhere = [x for here in comm.allgather(found) for x in here]
+        if everywhere:
+            place = ", ".join(f"{x:.6g}" for x in min(everywhere))
+            raise ValueError(
+                f"a load at ({place}) m is too far from the bodies: between its cells and theirs "
+                "there are others"
+            )
 
 
 class _AllFacets:

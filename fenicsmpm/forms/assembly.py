@@ -315,7 +315,9 @@ def _set_mesh_forms(
     if constant:
         key = (tuple(form.state for form in constant), *(f.tobytes() for f in fixed))
         kept = _constant_parts.setdefault(A, weakref.WeakKeyDictionary())
-        if a not in kept or kept[a][0] != key:
+        is_new = a not in kept or kept[a][0] != key
+        # conditions may differ on one rank only
+        if a.mesh.comm.allreduce(is_new, MPI.LOR):
             A.set_value(0.0)
             for region_form in constant:
                 if not region_form.add_facets(a.function_spaces, fixed, A):

@@ -170,7 +170,8 @@ def stabilized(
         law: constitutive law.
         force: body force per volume before the step, rho_n b [N/m^d]; None for none.
         scheme: time scheme, for tau_1 with inertia, see ``tau``.
-        cells: active cells of the body and of loads, for "cip".
+        cells: active cells of the body and of loads, for "cip". Of several bodies with the same
+            cells, take ``mixed`` for each and ``interior_penalty`` once.
 
     Returns:
         UFL form of rank 1.
