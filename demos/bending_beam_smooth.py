@@ -2,8 +2,7 @@
 """Bending beam that keeps its energy.
 
 The column of demos/bending_beam.py is thrown to the side, and bends far over while its points cross
-many cells. With linear functions on tetrahedra and 24576 points, a tenth of its energy is lost in a
-second. Here, 3072 points see quadratic B-splines on cubes, and the energy-momentum method keeps the
+many cells, which costs energy with linear functions. Here, 3072 points see quadratic B-splines on cubes, and the energy-momentum method keeps the
 sum of kinetic and strain energy and of the energy of stabilization to round-off:
 
     (rho (v_1 - v_0) / dt, w) + (F_m S, grad w) + (p, Delta J[w]) = 0,
