@@ -25,9 +25,9 @@ from fenicsmpm.forms.form import Form
 from fenicsmpm.forms.integral import PointIntegral
 
 _Array = npt.NDArray[np.float64]
-# CSR positions of the element matrices, for each matrix, while the selected groups stay the same
-_positions: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
-_positions = weakref.WeakKeyDictionary()
+# Places of the element matrices in rows of each matrix, while the selected groups stay the same
+_places: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
+_places = weakref.WeakKeyDictionary()
 # Values of constant region forms in a matrix, with what they belong to
 _constant_parts: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
 _constant_parts = weakref.WeakKeyDictionary()
@@ -232,9 +232,9 @@ def assemble_matrix(
         sources = integral.lowered.arguments
         dofs = [integral.dofs(s, V) for s, V in zip(sources, a.function_spaces, strict=True)]
         for groups, matrices in integral.element_tensors():
-            positions = _csr_positions(A, integral, dofs)[groups]
+            places = _csr_places(A, integral, dofs)[groups]
             selected = integral.groups[groups]
-            loops.add_matrices(matrices, *dofs, selected, positions, *fixed, A.data)
+            loops.add_matrices(matrices, *dofs, selected, places, A.indptr, *fixed, A.data)
     A.scatter_reverse()
     if _is_square(a):
         owned = A.index_map(0).size_local
@@ -384,15 +384,24 @@ def _diagonal_positions(A: la.MatrixCSR) -> npt.NDArray[np.int64]:
     return result
 
 
-def _csr_positions(
+def _csr_places(
     A: la.MatrixCSR, integral: PointIntegral, dofs: list[npt.NDArray[np.int32]]
-) -> npt.NDArray[np.uint32]:
-    """``(n_groups, n_local0, n_local1)`` positions for the groups with points."""
-    cached = _positions.setdefault(A, weakref.WeakKeyDictionary())
+) -> npt.NDArray[np.unsignedinteger]:
+    """Places within their rows of the entries that groups with points have; see ``csr_places``."""
+    cached = _places.setdefault(A, weakref.WeakKeyDictionary())
     groups = integral.groups
     if integral not in cached or not np.array_equal(cached[integral][0], groups):
-        positions = np.empty((len(groups), dofs[0].shape[1], dofs[1].shape[1]), dtype=np.uint32)
-        if not loops.csr_positions(A.indptr, A.indices, *dofs, groups, positions):
+        layout = integral.lowered.arguments[0].layout
+        assert layout is not None
+        n = dofs[0].shape[1]
+        if n % layout.n_components == 0:
+            seen = n // layout.n_components
+            if loops.rows_repeat(A.indptr, A.indices, dofs[0], groups, seen):
+                n = seen
+        longest = np.diff(A.indptr).max(initial=0)
+        kind = np.uint16 if longest <= np.iinfo(np.uint16).max else np.uint32
+        places = np.empty((len(groups), n, dofs[1].shape[1]), dtype=kind)
+        if not loops.csr_places(A.indptr, A.indices, *dofs, groups, places):
             raise ValueError("matrix made for another form: use create_matrix of this one")
-        cached[integral] = (groups, positions)
+        cached[integral] = (groups, places)
     return cached[integral][1]

@@ -140,7 +140,7 @@ def add_vectors(vectors, dofs, groups, result):
 
 
 @njit
-def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data):
+def add_matrices(matrices, dofs0, dofs1, groups, places, indptr, fixed0, fixed1, data):
     """Add element matrices to CSR data, without constrained rows and columns.
 
     Args:
@@ -148,13 +148,13 @@ def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data
         dofs0: ``(n_all_groups, n_local0)`` rows.
         dofs1: ``(n_all_groups, n_local1)`` columns.
         groups: ``(n_groups,)``.
-        positions: ``(n_groups, n_local0, n_local1)`` positions within ``data``; without a sign,
-            which numba would look at for each.
+        places: ``(n_groups, n, n_local1)`` of each entry within its row, see ``csr_places``.
+        indptr: where rows begin in ``data``.
         fixed0: uint8 marks of constrained rows.
         fixed1: uint8 marks of constrained columns.
         data: CSR values.
     """
-    n0, n1 = dofs0.shape[1], dofs1.shape[1]
+    n0, n1, n = dofs0.shape[1], dofs1.shape[1], places.shape[1]
     for i in range(len(groups)):
         is_free = True
         for b in range(n1):
@@ -162,13 +162,16 @@ def add_matrices(matrices, dofs0, dofs1, groups, positions, fixed0, fixed1, data
         for a in range(n0):
             if fixed0[dofs0[groups[i], a]]:
                 continue
+            first = indptr[dofs0[groups[i], a]]
+            row = data[first : indptr[dofs0[groups[i], a] + 1]]
+            place = places[i, a % n]
             if is_free:
                 for b in range(n1):
-                    data[positions[i, a, b]] += matrices[i, a, b]
+                    row[place[b]] += matrices[i, a, b]
             else:
                 for b in range(n1):
                     if not fixed1[dofs1[groups[i], b]]:
-                        data[positions[i, a, b]] += matrices[i, a, b]
+                        row[place[b]] += matrices[i, a, b]
 
 
 @njit
@@ -183,8 +186,36 @@ def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
 
 
 @njit
-def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
-    """Position of each entry of some groups' element matrices within CSR data.
+def rows_repeat(indptr, indices, dofs0, groups, n):
+    """Whether rows of some groups' matrices have the columns of the n-th row before them.
+
+    That is so for parts of a mixed space, one after the other, of which n functions are seen.
+    """
+    for i in range(len(groups)):
+        for a in range(n, dofs0.shape[1]):
+            row, other = dofs0[groups[i], a], dofs0[groups[i], a % n]
+            first, before = indptr[row], indptr[other]
+            length = indptr[row + 1] - first
+            if length != indptr[other + 1] - before:
+                return False
+            for k in range(length):
+                if indices[first + k] != indices[before + k]:
+                    return False
+    return True
+
+
+@njit
+def csr_places(indptr, indices, dofs0, dofs1, groups, places):
+    """Place of each entry of some groups' element matrices within its row of a CSR matrix.
+
+    Args:
+        indptr: where rows begin.
+        indices: columns, ascending in each row.
+        dofs0: ``(n_all_groups, n_local0)`` rows.
+        dofs1: ``(n_all_groups, n_local1)`` columns.
+        groups: ``(n_groups,)``.
+        places: ``(n_groups, n, n_local1)`` result for the first n rows, which are those of all if
+            ``rows_repeat``; without a sign, which numba would look at for each.
 
     Returns:
         Whether the pattern has a place for all of them.
@@ -192,16 +223,17 @@ def csr_positions(indptr, indices, dofs0, dofs1, groups, positions):
     for i in range(len(groups)):
         columns = dofs1[groups[i]]
         ascending = np.argsort(columns)
-        for a in range(dofs0.shape[1]):
+        for a in range(places.shape[1]):
             row = dofs0[groups[i], a]
-            k, last = indptr[row], indptr[row + 1]
+            first, last = indptr[row], indptr[row + 1]
+            k = first
             for b in ascending:
                 # rows hold little more than these columns, so the next one is near
                 while k < last and indices[k] < columns[b]:
                     k += 1
                 if k == last or indices[k] != columns[b]:
                     return False
-                positions[i, a, b] = k
+                places[i, a, b] = k - first
     return True
 
 

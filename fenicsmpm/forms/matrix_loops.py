@@ -2,7 +2,7 @@
 """Element matrices A_K = sum_p V_p B0^T D B1 by products of small matrices in registers.
 
 For each pair of a test and a trial component, the terms of all slots and of several points of a
-group are one product L^T R of two factors: L has the test functions, R = D B1. Blocks of 4 x 8
+group are one product L^T R of two factors: L has the test functions, R = D B1. Blocks of 4 x 16
 entries of the product are summed up in registers. What D has not, such as a coupling of values to
 gradients, is left out.
 """
@@ -128,14 +128,40 @@ def _factors(tensors, functions, some, first0, last0, first1, last1, n1, width, 
 
 @njit
 def _add_product(left, right, terms, n, height, width, block):
-    """Add L^T R of n terms to a block of ``height`` times ``width`` rows of eight."""
+    """Add L^T R of n terms to a block of ``height`` times ``width`` rows of eight.
+
+    Eight sums at once: as many as it takes until a processor has added the first product.
+    """
     for a in range(0, height, _ROWS):
-        for r in range(width):
+        for r in range(0, width - 1, 2):
             at = a * width + r
+            sum0, sum4 = load(block, at), load(block, at + 1)
+            sum1, sum5 = load(block, at + width), load(block, at + width + 1)
+            sum2, sum6 = load(block, at + 2 * width), load(block, at + 2 * width + 1)
+            sum3, sum7 = load(block, at + 3 * width), load(block, at + 3 * width + 1)
+            for k in range(n):
+                row, next_row = load(right, k * width + r), load(right, k * width + r + 1)
+                where = terms[k] * height + a
+                factor0, factor1 = number_at(left, where), number_at(left, where + 1)
+                factor2, factor3 = number_at(left, where + 2), number_at(left, where + 3)
+                sum0, sum4 = add_scaled(sum0, factor0, row), add_scaled(sum4, factor0, next_row)
+                sum1, sum5 = add_scaled(sum1, factor1, row), add_scaled(sum5, factor1, next_row)
+                sum2, sum6 = add_scaled(sum2, factor2, row), add_scaled(sum6, factor2, next_row)
+                sum3, sum7 = add_scaled(sum3, factor3, row), add_scaled(sum7, factor3, next_row)
+            store(block, at, sum0)
+            store(block, at + 1, sum4)
+            store(block, at + width, sum1)
+            store(block, at + width + 1, sum5)
+            store(block, at + 2 * width, sum2)
+            store(block, at + 2 * width + 1, sum6)
+            store(block, at + 3 * width, sum3)
+            store(block, at + 3 * width + 1, sum7)
+        if width % 2:
+            at = a * width + width - 1
             sum0, sum1 = load(block, at), load(block, at + width)
             sum2, sum3 = load(block, at + 2 * width), load(block, at + 3 * width)
             for k in range(n):
-                row = load(right, k * width + r)
+                row = load(right, k * width + width - 1)
                 where = terms[k] * height + a
                 sum0 = add_scaled(sum0, number_at(left, where), row)
                 sum1 = add_scaled(sum1, number_at(left, where + 1), row)
