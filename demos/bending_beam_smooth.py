@@ -2,8 +2,9 @@
 """Bending beam that keeps its energy.
 
 The column of demos/bending_beam.py is thrown to the side, and bends far over while its points cross
-many cells, which costs energy with linear functions. Here, 3072 points see quadratic B-splines on cubes, and the energy-momentum method keeps the
-sum of kinetic and strain energy and of the energy of stabilization to round-off:
+many cells, which costs energy with linear functions. Here, 3072 points see quadratic B-splines on
+cubes, and the energy-momentum method keeps the sum of kinetic energy, strain energy and what
+stabilization stores, to round-off:
 
     (rho (v_1 - v_0) / dt, w) + (F_m S, grad w) + (p, Delta J[w]) = 0,
     (Delta J, q) - alpha / mu h^2 (Delta r, grad grad q) = 0

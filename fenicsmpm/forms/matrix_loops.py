@@ -48,6 +48,8 @@ def element_matrices(
     runs0, runs1 = _runs(start0), _runs(start1)
     height = (np.max(length0) + _ROWS - 1) // _ROWS * _ROWS
     width = (np.max(length1) + LANES - 1) // LANES  # in rows of eight
+    is_whole = _are_all(runs0, start0, length0, result.shape[1])
+    is_whole &= _are_all(runs1, start1, length1, result.shape[2])
     for i in numba.prange(len(offsets) - 1):
         tensors = np.empty((_POINTS, n1, n0))
         left = np.zeros((n0 * _POINTS, height))
@@ -78,15 +80,20 @@ def element_matrices(
                     )  # fmt: skip
                     block = blocks[m0 * (len(runs1) - 1) + m1]
                     _add_product(left, right, terms, n, height, width, block)
-        result[i] = 0.0
+        if not is_whole:
+            result[i] = 0.0
         for m0 in range(len(runs0) - 1):
             for m1 in range(len(runs1) - 1):
                 block = blocks[m0 * (len(runs1) - 1) + m1].reshape(height, width * LANES)
                 row, column = start0[runs0[m0]], start1[runs1[m1]]
                 for a in range(length0[runs0[m0]]):
                     target = result[i, row + a]
-                    for b in range(length1[runs1[m1]]):
-                        target[column + b] += block[a, b]
+                    if is_whole:
+                        for b in range(length1[runs1[m1]]):
+                            target[column + b] = block[a, b]
+                    else:
+                        for b in range(length1[runs1[m1]]):
+                            target[column + b] += block[a, b]
 
 
 @njit
@@ -98,6 +105,17 @@ def _runs(start):
             result.append(s)
     result.append(len(start))
     return np.array(result)
+
+
+@njit
+def _are_all(runs, start, length, n):
+    """Whether runs of slots are on all n dofs, each once: averages are on the same ones again."""
+    total = 0
+    for m in range(len(runs) - 1):
+        if m > 0 and start[runs[m]] <= start[runs[m - 1]]:
+            return False
+        total += length[runs[m]]
+    return total == n
 
 
 @njit
