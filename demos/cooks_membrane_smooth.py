@@ -79,7 +79,8 @@ t, _, expected = np.loadtxt(REFERENCE, delimiter=",").T
 turns = turning_points(t[t <= END], expected[t <= END])
 found = turning_points(history["t [s]"], history["u_y of the tip [m]"])
 peak = expected.max()
-deviations = [(y - y_ref) / peak for (_, y), (_, y_ref) in zip(found, turns[:4], strict=False)]
+pairs = zip(found[:4], turns[:4], strict=True)
+deviations = [(y - y_ref) / peak for (_, y), (_, y_ref) in pairs]
 lack = (history["energy [J]"] - history["work [J]"]) / history["work [J]"].max()
 io.say("turning points off by " + ", ".join(f"{d:+.1%}" for d in deviations) + " of the first peak")
 io.say(f"energy at the end off by {lack[-1]:+.1%} of the largest work")

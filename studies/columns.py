@@ -139,7 +139,7 @@ def main(
     stabilization: str = "asgs", scheme: str = "Bossak", h: float | None = None,
     dt: float | None = None, restart: bool = False,
 ):  # fmt: skip
-    """Run CASES (1 to 5 of table 1, cmn, smooth, energy) of bending_beam or twisting_column."""
+    """Run CASES of bending_beam or twisting_column: 1 to 5, cmn, smooth, smooth-cmn, energy."""
     if name not in COLUMNS or not set(cases) <= set(CASES):
         known = f"columns are {', '.join(COLUMNS)}, cases {', '.join(CASES)}"
         raise typer.BadParameter(f"{name}, {', '.join(cases)}: {known}")

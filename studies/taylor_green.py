@@ -28,8 +28,11 @@ def error(n, per_side, viscosity=0.1, diagonal="crossed", until=0.1, functions="
     """Relative L2 error of the points' velocity, and the points."""
     kind, is_smooth = getattr(mesh.DiagonalType, diagonal), functions != "linear"
     cell = mesh.CellType.quadrilateral if is_smooth else mesh.CellType.triangle
-    domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, cell, diagonal=kind)
-    fluid = points.fill(domain, per_side * 3 // 2 if is_smooth else per_side)
+    partitioner = basis.shared_vertex_partitioner
+    domain = mesh.create_unit_square(
+        MPI.COMM_WORLD, n, n, cell, diagonal=kind, partitioner=partitioner
+    )
+    fluid = points.fill(domain, per_side)
     if is_smooth:
         basis.use(fluid, functions)
     formulations.set_initial_state(fluid, 1.0, velocity=lambda x: exact(x, 0.0, viscosity))
@@ -65,10 +68,10 @@ def main(
     for label, per in {"growing number": POINTS, "16": dict.fromkeys(POINTS, 4)}.items():
         found = []
         for n in sizes:
-            found.append(error(n, per[n], viscosity, diagonal, until, functions)[0])
+            side = per[n] if functions == "linear" else per[n] * 3 // 2
+            found.append(error(n, side, viscosity, diagonal, until, functions)[0])
             order = np.log2(found[-2] / found[-1]) if len(found) > 1 else None
-            a_cell = per[n] ** 2 if functions == "linear" else (per[n] * 3 // 2) ** 2
-            table.row(f"{a_cell}", f"1/{n}", found[-1], order)
+            table.row(f"{side**2}", f"1/{n}", found[-1], order)
         curves[f"{label} of points a cell"] = -np.log2(sizes), np.log10(found)
     second = np.log10(0.7 * found[-1]) - 2 * np.log10(sizes / sizes[-1])
     labels, known = ("log2 h", "log10 error of velocity"), {"order 2": (-np.log2(sizes), second)}

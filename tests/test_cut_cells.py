@@ -113,6 +113,19 @@ def test_holes_piles_and_neighbours_are_left_alone():
     assert body.weight[corrected] == pytest.approx(before[corrected] / 1.1)
 
 
+@pytest.mark.mpi
+def test_loads_where_ranks_do_not_see_their_neighbours():
+    """Cells are found, though nobody can tell whether a way leads from loads to bodies."""
+    domain = mesh.create_unit_square(COMM, 6, 6, ghost_mode=mesh.GhostMode.none)
+    body = points.fill(domain, 2, inside=lambda x: x[0] < 0.5)
+    edge = points.on_curve(domain, (0.6, 0.1), (0.6, 0.9), spacing=0.1)
+    count = COMM.allreduce(len(ActiveCells(body, loads=[edge]).cells()))
+    seen = mesh.create_unit_square(COMM, 6, 6)
+    body = points.fill(seen, 2, inside=lambda x: x[0] < 0.5)
+    edge = points.on_curve(seen, (0.6, 0.1), (0.6, 0.9), spacing=0.1)
+    assert count == COMM.allreduce(len(ActiveCells(body, loads=[edge]).cells())) > 36
+
+
 def test_weights_of_a_stranger():
     _, body = disc(MPI.COMM_SELF)
     with pytest.raises(ValueError, match="not in the active cells"):

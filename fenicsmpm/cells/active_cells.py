@@ -24,9 +24,9 @@ class ActiveCells:
     """The part of the background mesh that holds points, followed as they move.
 
     A cell is active if some point sees all its nodes: with finite elements, if it holds a point;
-    splines and uGIMP see further cells. Those of loads count as those of bodies do; and where there
-    are loads but nothing of a body, all cells around are active too, so that there is a way to the
-    body over facets. An active cell is cut if it holds nothing of a body, or if one of its facets
+    splines and uGIMP see further cells. Cells that load points see are active, too. Where there
+    are loads but nothing of a body, all cells around are active, so that there is a way to the body
+    over facets. An active cell is cut if it holds nothing of a body, or if one of its facets
     leads to a cell that is not active. The measures are for UFL forms, which are assembled over the
     cells and facets of the moment.
 
@@ -36,23 +36,25 @@ class ActiveCells:
 
     Attributes:
         points: all these sets.
+        bodies: the first of them, as above.
         mesh: the background mesh.
         dx: measure of integrals over the active cells.
         dS: measure of integrals over the facets between two active cells of which one is cut.
         dS_all: the same over all facets between two active cells.
 
     Raises:
-        ValueError: for no bodies, or sets on several meshes; on all ranks, whenever cells are asked
-            for, for a load so far from all bodies that no active cells lead there.
+        ValueError: for no bodies, or sets on several meshes. When cells are asked for, on all
+            ranks, if no active cells lead from a load to a body; on several ranks that takes a mesh
+            whose ranks see their neighbours' cells.
     """
 
     def __init__(self, *bodies: MaterialPoints, loads: Sequence[MaterialPoints] = ()) -> None:
-        """Prepare the topology; cells are found when they are asked for."""
+        """Prepare the topology; cells are found when they are asked for. Collective."""
         points = (*bodies, *loads)
         if not bodies or any(p.mesh is not points[0].mesh for p in points):
             raise ValueError("active cells need one or more point sets on the same mesh")
         self.points = points
-        self._bodies, self._loads = bodies, tuple(loads)
+        self.bodies, self._loads = bodies, tuple(loads)
         self.mesh = points[0].mesh
         topology = self.mesh.topology
         dim = topology.dim
@@ -60,6 +62,8 @@ class ActiveCells:
         topology.create_connectivity(dim, dim - 1)
         self._facet_cells = _two_cells(topology)
         self._error = _check_ghosts(topology, self._facet_cells)
+        unseen = self.mesh.comm.allreduce(self._error is not None, MPI.LOR)
+        self._sees_neighbours = not unseen
         domain = self.mesh.ufl_domain()
         self.dx = ufl.Measure("dx", domain=domain, subdomain_data=self)
         self.dS = ufl.Measure("dS", domain=domain, subdomain_data=self)
@@ -129,7 +133,7 @@ class ActiveCells:
         active = la.vector(cell_map)
         filled = la.vector(cell_map)
         active.array[:] = filled.array[:] = 0.0
-        for points in self._bodies:
+        for points in self.bodies:
             filled.array[points.cell] = 1.0
             active.array[stencil_of(points).seen_cells()] = 1.0
         active.scatter_reverse(la.InsertMode.add)
@@ -166,7 +170,7 @@ class ActiveCells:
 
     def _require_way(self, active: la.Vector, filled: la.Vector) -> None:
         """Raise ValueError for loads from which no active cells lead to a body (collective)."""
-        if not self._loads:
+        if not self._loads or not self._sees_neighbours:
             return
         comm, pairs = self.mesh.comm, self._facet_cells
         pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (active.array[pairs] > 0).all(axis=1)]
@@ -188,8 +192,8 @@ class ActiveCells:
         if everywhere:
             place = ", ".join(f"{x:.6g}" for x in min(everywhere))
             raise ValueError(
-                f"a load at ({place}) m is too far from the bodies: between its cells and theirs "
-                "there are others"
+                f"a load at ({place}) m is too far from the bodies: no active cells lead from its "
+                "cell to theirs"
             )
 
 

@@ -192,7 +192,7 @@ def _together(blocks: _Indices) -> tuple[_Indices, npt.NDArray[np.int64], Any]:
     lines.sum_duplicates()
     order, starts = loops.equal_rows(lines.indptr, lines.indices)
     incidence = lines[order[starts]]
-    used = np.flatnonzero(np.diff(incidence.indptr))  # without the set of what is in no line
+    used = np.flatnonzero(np.diff(incidence.indptr))  # not those that are in no line
     ends = np.append(starts, len(order))
     members = [order[ends[i] : ends[i + 1]] for i in used]
     sizes = np.cumsum([0, *map(len, members)])

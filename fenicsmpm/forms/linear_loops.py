@@ -87,7 +87,7 @@ def element_matrices(
     address, offsets, weights, rows, inputs, x, values0, values1,
     basis0, column0, length0, start0, basis1, column1, length1, start1, result,
 ):  # fmt: skip
-    """As ``loops.element_matrices``; x ``(n_points, d)`` positions, extended slots."""
+    """As ``matrix_loops.element_matrices``; x ``(n_points, d)`` positions, extended slots."""
     dim = x.shape[1]
     n0 = len(column0) - dim * len(values0)
     n1 = len(column1) - dim * len(values1)

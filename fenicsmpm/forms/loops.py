@@ -215,7 +215,7 @@ def csr_places(indptr, indices, dofs0, dofs1, groups, places):
         dofs1: ``(n_all_groups, n_local1)`` columns.
         groups: ``(n_groups,)``.
         places: ``(n_groups, n, n_local1)`` result for the first n rows, which are those of all if
-            ``rows_repeat``; without a sign, which numba would look at for each.
+            ``rows_repeat``; unsigned, as numba checks signed indices for negative values.
 
     Returns:
         Whether the pattern has a place for all of them.

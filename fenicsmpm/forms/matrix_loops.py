@@ -3,8 +3,8 @@
 
 For each pair of a test and a trial component, the terms of all slots and of several points of a
 group are one product L^T R of two factors: L has the test functions, R = D B1. Blocks of 4 x 16
-entries of the product are summed up in registers. What D has not, such as a coupling of values to
-gradients, is left out.
+entries of the product are summed up in registers. Entries of D that are zero, such as couplings of
+values to gradients, are skipped.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -109,7 +109,10 @@ def _runs(start):
 
 @njit
 def _are_all(runs, start, length, n):
-    """Whether runs of slots are on all n dofs, each once: averages are on the same ones again."""
+    """Whether runs of slots are on all n dofs, each once.
+
+    Slots of averages are on the same dofs as those of values, so the answer is no if both are used.
+    """
     total = 0
     for m in range(len(runs) - 1):
         if m > 0 and start[runs[m]] <= start[runs[m - 1]]:

@@ -105,7 +105,7 @@ def inactive_dofs(a: Form, A: PETSc.Mat) -> npt.NDArray[np.int32]:
 
     Args:
         a: compiled form of rank 2.
-        A: its matrix, from ``create_matrix``; its values stay.
+        A: its matrix, from ``create_matrix``. Its values stay, those where it is assembled do not.
     """
     return assembly.inactive_dofs(a, _work_matrix(a, A))
 

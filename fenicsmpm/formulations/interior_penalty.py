@@ -15,8 +15,9 @@ import ufl
 from fenicsmpm.basis import functions_of
 from fenicsmpm.cells import ActiveCells
 from fenicsmpm.formulations.facet_jumps import jumps, of_jumps
+from fenicsmpm.formulations.initial_state import require_initial_state
 from fenicsmpm.formulations.mixed import MixedLaw
-from fenicsmpm.formulations.stabilization_parameters import squared_size, tau
+from fenicsmpm.formulations.stabilization_parameters import modulus, squared_size, tau
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.points import MaterialPoints
@@ -44,15 +45,16 @@ def interior_penalty(
         cells: active cells of the body and of boundary points that carry loads.
         law: constitutive law.
         gamma: factor [-]; results hardly depend on it between 0.01 and 1.
-        scheme: time scheme, for tau_1 with inertia as in ``tau``; for steps much shorter than
-            h sqrt(rho / mu).
+        scheme: time scheme, for tau_1 with inertia as in ``tau``, here of the mean density of all
+            bodies (collective); for steps much shorter than h sqrt(rho / mu).
 
     Returns:
         UFL form of rank 1 over facets.
 
     Raises:
         ValueError: for an unknown without a linear pressure, a factor that is not positive, no
-            active cells, or a law and a scheme that both have inertia.
+            active cells, a law and a scheme that both have inertia, or with a scheme bodies without
+            ``set_initial_state``.
     """
     _check(z, gamma, "the interior penalty")
     if not isinstance(cells, ActiveCells):
@@ -62,10 +64,7 @@ def interior_penalty(
         )
     z.require_linear("the interior penalty", "p")
     h, jump = jumps(cells.mesh)
-    mu = law.modulus(h**2)
-    if scheme is not None:
-        _refuse_inertia_twice(law)
-        mu += _mean_density(cells) * scheme.rates[1] * h**2 / 2
+    mu = modulus(law, h**2, scheme, None if scheme is None else _mean_density(cells))
     dS = of_jumps(cells.dS_all, [z.part_space("p")])
     return -gamma * h**3 / (2 * mu) * jump(z.p) * jump(z.test.p) * dS
 
@@ -94,8 +93,8 @@ def hessian_penalty(
         UFL form of rank 1.
 
     Raises:
-        ValueError: for an unknown without pressure, a factor that is not positive, or points that
-            see functions without second derivatives.
+        ValueError: for an unknown without pressure, a factor that is not positive, points that see
+            functions without second derivatives, or a law and a scheme that both have inertia.
     """
     _check(z, gamma, "the penalty on second derivatives")
     require_second_derivatives(points, "the penalty on second derivatives")
@@ -124,17 +123,13 @@ def require_second_derivatives(points: MaterialPoints, what: str) -> None:
 def _check(z: Unknown, gamma: float, what: str) -> None:
     z.require("p", of=what)
     if not 0 < gamma < np.inf:
-        raise ValueError(f"the factor of {what} must be positive: gamma = {gamma}")
-
-
-def _refuse_inertia_twice(law: MixedLaw) -> None:
-    if hasattr(law, "scheme"):
-        raise ValueError("the law's modulus has inertia itself: leave out the scheme")
+        raise ValueError(f"the factor of {what} must be positive and finite: gamma = {gamma}")
 
 
 def _mean_density(cells: ActiveCells) -> float:
     """Mass over initial volume of all bodies [kg/m^d] (collective)."""
-    bodies = [points for points in cells.points if "mass" in points]
-    sums = np.sum([[np.sum(p["mass"]), np.sum(p["V_0"])] for p in bodies], axis=0)
-    mass, volume = cells.mesh.comm.allreduce(np.asarray(sums, dtype=np.float64), MPI.SUM)
+    for body in cells.bodies:
+        require_initial_state(body, "the interior penalty with inertia")
+    sums = np.sum([[np.sum(p["mass"]), np.sum(p["V_0"])] for p in cells.bodies], axis=0)
+    mass, volume = cells.mesh.comm.allreduce(sums, MPI.SUM)
     return float(mass / volume)

@@ -9,6 +9,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 
@@ -65,7 +66,8 @@ class LumpedProjection(fem.Function):
         self._compiled = forms.form(self.sums)
         self.is_held = False
         self._volumes: la.Vector | None = None
-        self._version, self._weights = -1, np.empty(0)
+        self._version = -1
+        self._weights: npt.NDArray[np.float64] = np.empty(0)
 
     def volumes(self) -> la.Vector:
         """Of the points at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""

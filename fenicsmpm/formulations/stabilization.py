@@ -140,6 +140,10 @@ def split_osgs(
 
     Returns:
         UFL form of rank 1.
+
+    Raises:
+        ValueError: for parts with nodes beside the vertices, or a law and a scheme that both have
+            inertia.
     """
     z.require("u", "p", of="split OSGS")
     z.require_linear("split OSGS")
@@ -203,8 +207,8 @@ def residuals(
     """Residuals of momentum and of the volumetric law, for linear elements.
 
     They leave out the divergence of the deviatoric stress: zero for linear triangles and
-    tetrahedra, small for linear quadrilaterals and hexahedra. Of quadratic elements, to which they
-    add an error of its own, they are for trials.
+    tetrahedra, small for linear quadrilaterals and hexahedra. Quadratic elements are accepted for
+    trials; there the residuals add an error of their own.
 
     Args:
         z: unknown with the increment of displacement u [m] and the pressure p [Pa].

@@ -49,13 +49,32 @@ def tau(
     Raises:
         ValueError: for a scheme and a law that has inertia itself.
     """
-    if scheme is not None and hasattr(law, "scheme"):
-        raise ValueError("the law's subscales have inertia themselves: leave out the scheme")
     h_squared = squared_size(points)
-    mu, mu_p = law.modulus(h_squared), law.subscale_modulus(points, h_squared)
-    if scheme is not None:
-        mu += c1 * density(points) * scheme.rates[1] * h_squared / 2
-    return c1 * h_squared / (2 * mu), 2 * c2 * mu_p
+    mu = modulus(law, h_squared, scheme, density(points) if scheme is not None else None, c1)
+    return c1 * h_squared / (2 * mu), 2 * c2 * law.subscale_modulus(points, h_squared)
+
+
+def modulus(
+    law: MixedLaw, h_squared: Any, scheme: TimeScheme | None, rho: Any, c1: float = 1.0
+) -> Any:
+    """Shear modulus mu of tau_1 = c1 h^2 / (2 mu) [Pa], with inertia if there is a time scheme.
+
+    Args:
+        law: constitutive law.
+        h_squared: square of the cell size [m^2].
+        scheme: time scheme; None for subscales without inertia.
+        rho: density [kg/m^d]; needed with a scheme only.
+        c1: constant of tau_1.
+
+    Raises:
+        ValueError: for a scheme and a law that has inertia itself.
+    """
+    mu = law.modulus(h_squared)
+    if scheme is None:
+        return mu
+    if hasattr(law, "scheme"):
+        raise ValueError("the law's subscales have inertia themselves: leave out the scheme")
+    return mu + c1 * rho * scheme.rates[1] * h_squared / 2
 
 
 def squared_size(points: MaterialPoints) -> Any:

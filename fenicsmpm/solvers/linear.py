@@ -305,7 +305,7 @@ class _Gmres:
         self._ksp, _ = _create(comm, options, None)
         self._keeps = not is_large
         self._matrix: PETSc.Mat | None = None
-        self._state = -1
+        self._state, self._are_of_these_values = -1, False
         # iterations for a tenth of the residual, and those that cost as much as new factors
         self._fresh, self._last, self._worth = 0.0, 0.0, 0.0
 
@@ -320,7 +320,7 @@ class _Gmres:
             ksp.reset()  # PETSc keeps the overlap of the first pattern
         self._matrix = A
         more = 4 * (self._last - self._fresh)  # for a usual reduction
-        is_same = not is_new and A.stateGet() == self._state
+        is_same = self._are_of_these_values and not is_new and A.stateGet() == self._state
         reuses = is_same or (self._keeps and not is_new and more <= self._worth)
         ksp.setTolerances(rtol=rtol)
         while True:
@@ -328,10 +328,11 @@ class _Gmres:
             ksp.setOperators(operator, A)
             ksp.solve(b, x)
             reason, iterations = ksp.getConvergedReason(), ksp.getIterationNumber()
-            if reason > 0 or not reuses:
+            if reason > 0 or not reuses or is_same:
                 break
             reuses = False
         ksp.setOperators(A)  # the other one may be destroyed now
+        self._are_of_these_values = is_same or not reuses
         self._state = A.stateGet()  # scaling there and back has changed it
         self._last = iterations / -np.log10(rtol)
         if not reuses:
