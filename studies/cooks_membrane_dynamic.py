@@ -5,9 +5,10 @@ The problem is that of demos/cooks_membrane_dynamic.py. VMS compares stabilizati
 points a cell (6c) and sizes of cells (6d); the slides of Moreno, Contri and Larese (CMN 2022) have
 Miehe's volumetric law, short steps and, here, subscales with inertia and tied nodes (cmn). The
 other figures are of smooth functions on squares: cells and points (smooth), stabilizations and
-functions (kinds), time schemes (times), and the case of CMN (smooth-cmn). Turning points are
-compared with Taylor-Hood P2-P1 finite elements; heights as shares of the first peak. What the
-energy lacks is a share of the largest work of the load.
+functions (kinds), corrected weights (weights), time schemes (times), the case of CMN (smooth-cmn),
+and linear functions beside them (triangles). Turning points are compared with Taylor-Hood P2-P1
+finite elements; heights as shares of the first peak. What the energy lacks is a share of the
+largest work of the load.
 """
 
 from pathlib import Path
@@ -28,16 +29,23 @@ REFERENCE = Path(__file__).parents[1] / "benchmarks" / "references" / "cook_dyna
 CMN = {"dt": 0.0025, "volumetric": "miehe", "transient": True, "tied": True, "per_cell": 16}
 SMOOTH = {"functions": "quadratic", "stabilization": "cip", "tied": True, "h": 0.2, "per_cell": 9}
 KINDS = [{"stabilization": s} for s in ("cip", "hessian", "split_osgs")]
+TRIANGLES = {"h": 0.2, "per_cell": 24, "tied": True}
 SCHEMES = "Bossak", "GeneralizedAlpha", "Newmark", "BDF2"
-LABELS = "functions", "stabilization", "h", "per_cell", "scheme"
+LABELS = "functions", "stabilization", "h", "per_cell", "scheme", "corrected"
 FIGURES = {
     "6a": [{"stabilization": name} for name in ("none", "ppp", "asgs", "osgs")],
     "6c": [{"per_cell": n} for n in (6, 12, 33)],
     "6d": [{"h": h} for h in (0.2, 0.1, 0.05)],
     "schemes": [{"scheme": s} for s in SCHEMES],
     "cmn": [CMN | {"h": h} for h in (0.6, 0.3, 0.15, 0.075, 0.0375)],
-    "smooth": [SMOOTH | c for c in ({"per_cell": 4}, {}, {"h": 0.1})],
+    "smooth": [SMOOTH | c for c in ({"per_cell": 4}, {}, {"h": 0.1}, {"h": 0.1, **KINDS[1]})],
     "kinds": [SMOOTH | c for c in (*KINDS, {"functions": "gimp"}, {"functions": "cubic"})],
+    "weights": [SMOOTH | {"corrected": c} for c in (True, False)],
+    "triangles": [
+        *(TRIANGLES | {"stabilization": s} for s in ("asgs", "cip")),
+        TRIANGLES | {"stabilization": "cip", "per_cell": 12},
+        TRIANGLES | {"stabilization": "ppp", "scheme": "Midpoint"},
+    ],
     "times": [
         *(SMOOTH | {"scheme": s} for s in SCHEMES[1:]),
         SMOOTH | {"scheme": "Midpoint", "stabilization": "hessian"},
@@ -118,7 +126,7 @@ def main(
     figures: list[str] = ["6a", "6c", "6d"], until: float = 7.0, scheme: str = "Bossak",
     h: float = 0.1, tied: bool = False, corrected: bool = True, movie: bool = False,
 ):  # fmt: skip
-    """Repeat FIGURES (6a, 6c, 6d, schemes, cmn, smooth, kinds, times, smooth-cmn).
+    """Repeat FIGURES: 6a, 6c, 6d, schemes, cmn, smooth, kinds, weights, times, triangles, ...
 
     The options are for cases that leave them out.
     """
