@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
+from dolfinx import la
 from scipy.spatial import cKDTree
 
 from fenicsmpm import forms, materials
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Law, NeoHookean
 from fenicsmpm.points import MaterialPoints
 
@@ -90,6 +93,28 @@ def strain_energy(body: MaterialPoints, law: NeoHookean | Law) -> float:
     F, J = body.field("F"), body.field("J")
     energy = law.energy(F, J) * body.field("V_0") / body.field("weight")
     return float(forms.assemble_scalar(forms.form(energy * body.dx)))
+
+
+def resultant(z: Unknown, form: ufl.Form) -> npt.NDArray[np.float64]:
+    """Force that terms of a residual exert on the body, the sum over all nodes (collective).
+
+    They are taken for the unknown and the points as they are: after ``NewtonSolver.solve``. In time
+    loops ``simulation.Resultant`` asks when a step is solved and points have not moved.
+
+    Args:
+        z: unknown with a displacement or velocity.
+        form: terms of its residual, UFL of rank 1.
+
+    Returns:
+        [N], shape (d,); per thickness in the plane.
+    """
+    name = "v" if "v" in z else "u"
+    b = forms.assemble_vector(forms.form(form))
+    b.scatter_reverse(la.InsertMode.add)
+    space = z.part_space(name)
+    owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
+    sums = b.array[z.dofs(name)[:owned]].reshape(-1, z.mesh.geometry.dim).sum(axis=0)
+    return -z.mesh.comm.allreduce(sums)
 
 
 def mean_stress(sigma: npt.ArrayLike) -> npt.NDArray[np.float64]:

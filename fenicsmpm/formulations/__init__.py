@@ -5,6 +5,7 @@ from fenicsmpm.formulations.bdf2 import BDF2
 from fenicsmpm.formulations.boundary import (
     dead_load,
     follower_pressure,
+    nitsche_dirichlet,
     penalty_dirichlet,
     set_normals,
 )
@@ -35,6 +36,7 @@ from fenicsmpm.formulations.stabilization import (
 from fenicsmpm.formulations.stabilization_parameters import element_size, tau
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
 from fenicsmpm.formulations.unknown import Condition, Part, Unknown
+from fenicsmpm.formulations.walls import wall
 
 __all__ = [
     "ALGORITHM_1",
@@ -72,6 +74,7 @@ __all__ = [
     "interior_penalty",
     "internal_force",
     "mixed",
+    "nitsche_dirichlet",
     "osgs",
     "penalty_dirichlet",
     "ppp",
@@ -82,4 +85,5 @@ __all__ = [
     "stabilized",
     "stress_power",
     "tau",
+    "wall",
 ]

@@ -37,7 +37,7 @@ def dead_load(w: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
     Raises:
         ValueError: for no points at all, or a traction of another shape.
     """
-    _require_points(points, "a load")
+    require_points(points, "a load")
     return -ufl.inner(_vector(traction, points, "a traction"), w) * points.dx
 
 
@@ -99,16 +99,11 @@ def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.
         ValueError: for no points at all, points without normals, or a pressure with components.
     """
     z.require("u", of="a pressure that follows")
-    _require_points(points, "a load")
+    require_points(points, "a load")
     pressure = ufl.as_ufl(pressure)
     if pressure.ufl_shape != ():
         raise ValueError(f"a pressure is a scalar, but has the shape {pressure.ufl_shape}")
-    if "normal" not in points:
-        raise ValueError("boundary points without normals: call set_normals(points, normals) first")
-    normal = points.field("normal")
-    normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
-    area = ufl.dot(Kinematics(z.u, points).cofactor(), normal)
-    return pressure * ufl.inner(area, z.test.u) * points.dx
+    return pressure * ufl.inner(_moved_area(z, points), z.test.u) * points.dx
 
 
 def penalty_dirichlet(
@@ -144,21 +139,105 @@ def penalty_dirichlet(
             displacement of another shape.
     """
     z.require("u", of="a Dirichlet condition")
-    _require_points(points, "a Dirichlet condition")
-    modulus: Any = getattr(material, "E", material)
+    require_points(points, "a Dirichlet condition")
+    stiffness = factor * modulus_of(material, factor) / element_size(points)
+    return stiffness * ufl.inner(_gap(z, points, value), z.test.u) * points.dx
+
+
+def nitsche_dirichlet(
+    z: Unknown,
+    points: MaterialPoints,
+    law: NeoHookean,
+    value: Any = None,
+    *,
+    factor: float = 10.0,
+    symmetric: bool = True,
+    slip: bool = False,
+) -> ufl.Form:
+    """Prescribed displacement of boundary points by Nitsche's method, for the mixed formulation.
+
+    -(t, w) - (D t[V], u_n + u - g) + 2 factor mu / h (u_n + u - g, w) per initial area, with the
+    traction t = sigma cof(f) n of the body itself and its derivative D t[V] in direction of the
+    test functions. It is consistent: the exact solution fulfils it whatever the factor, which needs
+    to be large enough for stability only (J. Nitsche, 1971; P. Hansbo, GAMM-Mitt. 28, 2005).
+
+    Args:
+        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
+        points: boundary points with initial areas [m^(d-1)] and the outer normals of
+            ``set_normals``; "u" [m] is u_n, "F" the deformation gradient, and both are added where
+            they are missing. Time loops renew them.
+        law: of the body.
+        value: prescribed displacement g from the initial position [m], see ``penalty_dirichlet``.
+        factor: of the penalty [-].
+        symmetric: False for the other sign of the second term, which is stable with any factor.
+        slip: whether only displacements along the normals are prescribed.
+
+    Returns:
+        UFL form of rank 1, to be added to the residual.
+
+    Raises:
+        ValueError: for no points at all, points without normals, a factor that is not positive and
+            finite, or a displacement of another shape.
+    """
+    z.require("u", "p", of="Nitsche's method")
+    require_points(points, "a Dirichlet condition")
+    modulus_of(law, factor)
+    area = _moved_area(z, points)
+    if "F" not in points:
+        points.add_field("F", (3, 3), np.eye(3))
+        points.field("F").renew(lambda k: k.F)
+    dim = points.mesh.geometry.dim
+    sigma = law.deviatoric_stress(Kinematics(z.u, points).F)
+    in_plane = ufl.as_tensor([[sigma[i, j] for j in range(dim)] for i in range(dim)])
+    traction = ufl.dot(in_plane, area) + z.p * area
+    gap, w = _gap(z, points, value), z.test.u
+    if slip:
+        normal = area / ufl.sqrt(ufl.inner(area, area))
+        traction, gap, w = (ufl.inner(v, normal) for v in (traction, gap, w))
+    stiffness = 2 * factor * law.mu / element_size(points)
+    consistency = ufl.inner(ufl.derivative(traction, z.U, z.V), gap)
+    R = stiffness * ufl.inner(gap, w) - ufl.inner(traction, w)
+    return (R - consistency if symmetric else R + consistency) * points.dx
+
+
+def modulus_of(material: Any, factor: float) -> float:
+    """Young's modulus of a law, or a modulus itself [Pa]; ValueError if the penalty has no sense.
+
+    Args:
+        material: law with E, or a modulus [Pa].
+        factor: of the penalty [-].
+    """
+    modulus = getattr(material, "E", material)
     for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
         if not 0 < number < np.inf:
             raise ValueError(f"the {what} must be positive and finite: {number}")
-    dim = points.mesh.geometry.dim
+    return float(modulus)
+
+
+def _gap(z: Unknown, points: MaterialPoints, value: Any) -> Any:
+    """Displacement at the end of the step less a prescribed one [m]."""
     if "u" not in points:
-        points.add_field("u", (dim,))
+        points.add_field("u", (points.mesh.geometry.dim,))
     gap = points.field("u") + z.u
-    if value is not None:
-        gap -= _vector(value, points, "a displacement")
-    return factor * modulus / element_size(points) * ufl.inner(gap, z.test.u) * points.dx
+    return gap if value is None else gap - _vector(value, points, "a displacement")
 
 
-def _require_points(points: MaterialPoints, what: str) -> None:
+def _moved_area(z: Unknown, points: MaterialPoints) -> Any:
+    """Outer normal after the step times the ratio of areas, by Nanson's formula [-]."""
+    if "normal" not in points:
+        raise ValueError("boundary points without normals: call set_normals(points, normals) first")
+    normal = points.field("normal")
+    normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
+    return ufl.dot(Kinematics(z.u, points).cofactor(), normal)
+
+
+def require_points(points: MaterialPoints, what: str) -> None:
+    """Raise ValueError for sets without points on any rank.
+
+    Args:
+        points: boundary points.
+        what: needs them.
+    """
     if points.size_global == 0:
         raise ValueError(f"{what} on no points: check where these boundary points were seeded")
 

@@ -120,6 +120,6 @@ class MixedEnergyMomentum(EnergyMomentum):
         if law.inverse_kappa > 0:
             psi += law.kappa / 2 * points["theta"] ** 2
         if self._alpha > 0:
-            r = points["r"].reshape(len(points), -1)
-            psi += self._alpha / (2 * law.mu) * np.sum(r**2, axis=1)
+            r = points["r"]
+            psi += self._alpha / (2 * law.mu) * np.sum(r**2, axis=tuple(range(1, r.ndim)))
         return float(points.mesh.comm.allreduce(float(points["V_0"] @ psi)))

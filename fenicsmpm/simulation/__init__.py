@@ -7,6 +7,7 @@ from fenicsmpm.simulation.implicit import ImplicitMPM
 from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.reaction import Reaction
 from fenicsmpm.simulation.rebalanced import Rebalanced, imbalance
+from fenicsmpm.simulation.resultant import Resultant
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
@@ -19,6 +20,7 @@ __all__ = [
     "Observer",
     "Reaction",
     "Rebalanced",
+    "Resultant",
     "RigidBox",
     "Step",
     "StepAudit",

@@ -61,16 +61,18 @@ class ProjectedTangent:
             for factors in self._all:
                 factors.projection.is_held = False
 
-    def assemble(self, bcs: Sequence[fem.DirichletBC]) -> None:
+    def assemble(self, bcs: Sequence[fem.DirichletBC], stays: bool = False) -> None:
         """Assemble the factors for U as it is (collective).
 
         Args:
             bcs: Dirichlet conditions, whose rows and columns are left out.
+            stays: whether factors stay as they are, for points that have not moved.
         """
         if not self._all:
             return
-        for factors in self._all:
-            factors.assemble()
+        if not stays:
+            for factors in self._all:
+                factors.assemble()
         if self._whole is not None:
             self._whole.destroy()
             self._whole = None
