@@ -132,7 +132,7 @@ def test_block_on_an_incline(friction):
             GRAVITY * (np.sin(ANGLE) - friction * np.cos(ANGLE)), rel=0.01
         )
     else:
-        # it swings by some hundredths of a millimetre; free, it would slide by half a metre meanwhile
+        # it swings by hundredths of a millimetre; free, it would slide by half a metre meanwhile
         assert np.ptp(np.array(places)[late]) < 1e-4
     mean = np.mean(np.array(forces)[late], axis=0)
     assert mean @ up == pytest.approx(weight * np.cos(ANGLE), rel=0.01)

@@ -89,6 +89,6 @@ class LumpedProjection(fem.Function):
         sums.scatter_reverse(la.InsertMode.add)
         sums.scatter_forward()
         volume = self.volumes().array[:, None]
-        values = sums.array.reshape(len(volume), -1)
+        values = sums.array.reshape(len(volume), self.function_space.dofmap.index_map_bs)
         result = self.x.array.reshape(values.shape)
         result[:] = np.divide(values, volume, out=np.zeros_like(values), where=volume > 0)

@@ -202,4 +202,4 @@ def _plane_divergence(slope: Any) -> Any:
 
 
 def _square(values: npt.NDArray[np.float64], weight: npt.NDArray[np.float64]) -> float:
-    return float(weight @ (values.reshape(len(values), -1) ** 2).sum(axis=1))
+    return float(weight @ np.sum(values**2, axis=tuple(range(1, values.ndim))))
