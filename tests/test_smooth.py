@@ -12,7 +12,7 @@ from dolfinx import fem, la, mesh
 from lattices import COMM, LOWER, UPPER, by_id, lattice, noise, product, use
 from numba import cfunc, types
 
-from fenicsmpm import ImplicitMPM, MaterialPoints, basis, diagnostics, forms, points
+from fenicsmpm import ImplicitMPM, MaterialPoints, _compat, basis, diagnostics, forms, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.forms import assembly, matrix_loops
@@ -895,7 +895,7 @@ def test_patterns_of_mixed_spaces(name, compact):
     where = np.rint(numbers(body.mesh, shape, V.tabulate_dof_coordinates())).astype(int)
     at_node = {tuple(node): [] for node in where.tolist()}
     for part in (z.space.sub(0).sub(0), z.space.sub(0).sub(1), z.space.sub(1)):
-        scalar, dofs = part.collapse()
+        scalar, dofs = _compat.collapsed(part)
         x = np.rint(numbers(body.mesh, shape, scalar.tabulate_dof_coordinates())).astype(int)
         for node, dof in zip(x.tolist(), dofs, strict=True):
             at_node[tuple(node)].append(int(dof))
