@@ -34,7 +34,7 @@ def main():
     options = parser.parse_args()
     numba.set_num_threads(options.threads)
     print(machine.describe())
-    sim = columns.build("bending_beam", h=options.size, per_cell=options.points)
+    sim, _ = columns.build("bending_beam", h=options.size, per_cell=options.points)
     body = sim.bodies[0]
     cells = len(np.unique(body.cell))
     for _ in range(3):

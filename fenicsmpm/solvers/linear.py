@@ -84,7 +84,6 @@ class LinearSolver:
 
     Attributes:
         ksp: the PETSc object of the options, or of MUMPS.
-        is_automatic: whether solvers and tolerances are chosen here, without PETSc options.
         method: by which the last system was solved.
         iterations: of the last system; 0 if MUMPS solved it.
         systems: solved so far.
@@ -111,7 +110,7 @@ class LinearSolver:
         self._comm, self._given = comm, list(given)
         self.ksp, self._options = _create(comm, options, prefix)
         self._gmres: dict[str, _Gmres] = {}
-        self.is_automatic, self._dim = not given, dim
+        self._is_automatic, self._dim = not given, dim
         self._scale: PETSc.Vec | None = None
         self.method, self.iterations, self.systems = "", 0, 0
         self.total_iterations, self.direct_after_all, self.seconds = 0, 0, 0.0
@@ -158,7 +157,7 @@ class LinearSolver:
         Args:
             A: assembled matrix.
         """
-        return self.is_automatic and self._dim == 3 and _is_large(A)
+        return self._is_automatic and self._dim == 3 and _is_large(A)
 
     def scaled_norm(self, b: PETSc.Vec) -> float | None:
         """Norm of a residual as GMRES sees it; None if MUMPS solved the system (collective).
@@ -191,7 +190,7 @@ class LinearSolver:
             self._scale.destroy()
             self._scale = None
         is_large = self.iterates(A)
-        if is_large or (products is not None and self.is_automatic):
+        if is_large or (products is not None and self._is_automatic):
             if self._iterate(A, b, x, rtol, products, is_large):
                 return
             self.direct_after_all += 1

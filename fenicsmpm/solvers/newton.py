@@ -230,10 +230,10 @@ class NewtonSolver:
                     result.residuals,
                 )
             if result.tangents == 0 or has_gap or reduction > self.keep_tangent:
-                # systems that are solved to a few digits do not see the last changes of projections
-                stay = self.linear.is_automatic and result.tangents > 0 and not has_gap
+                # large systems, solved to a few digits, do not see the last changes of projections
+                stay = result.tangents > 0 and not has_gap and reduction <= _LAST_CHANGES
                 with result.seconds("assembly"):
-                    A = self._tangent(stay and reduction <= _LAST_CHANGES)
+                    A = self._tangent(stay and self.linear.iterates(self._A))
                 result.tangents += 1
             if has_gap:
                 # the constrained values are still to be reached: the step moves all of U with them
