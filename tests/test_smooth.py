@@ -792,29 +792,55 @@ def slots(rng, lengths, per_component, averaged):
 def test_element_matrices_in_registers(lengths, per_component, averaged):
     """sum_p V_p B0^T D B1 by dense products, for tables of any size and blocks of zeros."""
     rng = np.random.default_rng(sum(map(sum, lengths)))
-    counts = [3, 0, 8, 1, 9, 17, 30]  # points of the groups, after some of another batch
-    offsets = 5 + np.cumsum([0, *counts])
-    n = offsets[-1]
-    rows = rng.permutation(n)
-    weights = rng.uniform(0.5, 1.5, n)
+    offsets, n = groups_with_points()
     tables = []
     for sizes, many in zip(lengths, per_component, strict=True):
-        width, column, length, start = slots(rng, sizes, many, averaged)
-        tables.append((rng.standard_normal((n, width)), column, length, start))
+        width, *where = slots(rng, sizes, many, averaged)
+        tables.append((rng.standard_normal((n, width)), *where))
     n0, n1 = (len(t[1]) for t in tables)
     D = rng.standard_normal((n, n0, n1))
     D[:, rng.random((n0, n1)) < 0.3] = 0.0  # couplings that there are not
     D[rng.random(n) < 0.1] = 0.0  # points without any
     D[:, n0 // 2, :] = 0.0
-    inputs = np.column_stack([np.full(n, n0 * n1), D.transpose(0, 2, 1).reshape(n, n0 * n1)])[
-        offsets[0] :
-    ]
-    n_local = [sum(sizes) for sizes in lengths]
-    result = np.full((len(counts), *n_local), np.nan)
+    compare_with_dense_products(rng, offsets, tables, D, False)
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+@pytest.mark.parametrize("symmetric", [0, 1, 2, 3])
+def test_symmetric_element_matrices(symmetric, averaged):
+    """Pairs of components are mirrored only where D is symmetric there."""
+    rng = np.random.default_rng(symmetric)
+    offsets, n = groups_with_points()
+    many = np.array([3, 3, 1])
+    width, *where = slots(rng, (9, 12, 4), many, averaged)
+    table = rng.standard_normal((n, width)), *where
+    D = rng.standard_normal((n, len(where[0]), len(where[0])))
+    D += D.transpose(0, 2, 1)
+    ends = np.cumsum([0, *many])
+    for first, second in [(0, 1), (0, 2), (1, 2)][symmetric:]:
+        # one entry of one point is enough, even if only its sign is another one
+        rows, columns = slice(ends[first], ends[first + 1]), slice(ends[second], ends[second + 1])
+        D[rng.integers(n), rows, columns] *= -1.0
+    compare_with_dense_products(rng, offsets, [table, table], D, True)
+
+
+def groups_with_points():
+    """Where the points of groups begin, after some of another batch; number of all points."""
+    offsets = 5 + np.cumsum([0, 3, 0, 8, 1, 9, 17, 30])
+    return offsets, offsets[-1]
+
+
+def compare_with_dense_products(rng, offsets, tables, D, is_same):
+    """Element matrices of two tables ``(basis, column, length, start)`` and D at each point."""
+    n, n0, n1 = D.shape
+    rows, weights = rng.permutation(n), rng.uniform(0.5, 1.5, n)
+    inputs = [np.full(n, n0 * n1), D.transpose(0, 2, 1).reshape(n, n0 * n1)]
+    inputs = np.ascontiguousarray(np.column_stack(inputs)[offsets[0] :])
+    n_local = [np.max(start + length) for _, _, length, start in tables]
+    result = np.full((len(offsets) - 1, *n_local), np.nan)
     matrix_loops.element_matrices(
-        copy_inputs.address, offsets, weights, rows, np.ascontiguousarray(inputs),
-        *tables[0], *tables[1], result,
-    )  # fmt: skip
+        copy_inputs.address, offsets, weights, rows, inputs, is_same, *tables[0], *tables[1], result
+    )
     factors = []
     for (table, column, length, start), size in zip(tables, n_local, strict=True):
         B = np.zeros((n, len(column), size))

@@ -231,10 +231,8 @@ def assemble_matrix(
     for integral in a.point_integrals:
         sources = integral.lowered.arguments
         dofs = [integral.dofs(s, V) for s, V in zip(sources, a.function_spaces, strict=True)]
-        for groups, matrices in integral.element_tensors():
-            places = _csr_places(A, integral, dofs)[groups]
-            selected = integral.groups[groups]
-            loops.add_matrices(matrices, *dofs, selected, places, A.indptr, *fixed, A.data)
+        integral.refresh()
+        integral.add_matrices(_csr_places(A, integral, dofs), A.indptr, fixed, A.data)
     A.scatter_reverse()
     if _is_square(a):
         owned = A.index_map(0).size_local

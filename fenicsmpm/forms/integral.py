@@ -10,6 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+import numba
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -160,45 +161,100 @@ class PointIntegral:
             The range of ``self.groups`` and the tensors, ``(n, [n_local0, [n_local1]])`` with
             the local dofs in the slots' order.
         """
+        n_local = self._local_sizes()
+        for groups, element, arguments in self._batches(math.prod(n_local)):
+            result = np.empty((groups.stop - groups.start, *n_local))
+            element(*arguments, result)
+            yield groups, result
+
+    def add_matrices(
+        self,
+        places: npt.NDArray[np.unsignedinteger],
+        indptr: npt.NDArray[np.int64],
+        fixed: list[npt.NDArray[np.uint8]],
+        data: npt.NDArray[np.float64],
+    ) -> None:
+        """Add the element matrices of an integral of rank 2 to a matrix.
+
+        Args:
+            places: see ``loops.add_matrices``; for all of ``self.groups``.
+            indptr: where the rows of the matrix begin.
+            fixed: marks of constrained rows and columns.
+            data: values of the matrix.
+        """
+        n_local = self._local_sizes()
+        dofs = [self._dofs[id(source)] for source in self.lowered.arguments]
+        numbers = math.prod(n_local) if self._sums_first else 1
+        for groups, element, arguments in self._batches(numbers):
+            where = (*dofs, self.groups[groups], places[groups], indptr, *fixed, data)
+            if element is matrix_loops.element_matrices:
+                matrix_loops.add_element_matrices(*arguments, *where, numba.get_num_threads())
+            else:
+                matrices = np.empty((groups.stop - groups.start, *n_local))
+                element(*arguments, matrices)
+                loops.add_matrices(matrices, *where)
+
+    def _local_sizes(self) -> list[int]:
+        return [self._dofs[id(source)].shape[1] for source in self.lowered.arguments]
+
+    @property
+    def _integration_sites(self) -> Sites:
+        return self.sites if self._condensation is None else self._condensation.sites()
+
+    @property
+    def _sums_first(self) -> bool:
+        """Whether sums over a cell come before the contraction with linear functions."""
+        arguments = self.lowered.arguments
+        values = [source.layout.value_slots(source.used) for source in arguments if source.layout]
+        sites = self._integration_sites
+        # only where there is something to sum up
+        return all(v is not None for v in values) and len(sites.rows) > len(sites.groups)
+
+    def _batches(
+        self, numbers: int
+    ) -> Iterator[tuple[slice, Callable[..., None], tuple[Any, ...]]]:
+        """Batches of groups, function of their element tensors, and its arguments but the last.
+
+        Args:
+            numbers: see ``Sites.batches``.
+        """
         self.refresh()
-        sites = self.sites if self._condensation is None else self._condensation.sites()
+        sites, arguments = self._integration_sites, self.lowered.arguments
         inputs_at = self._inputs(sites)
         weights, x = sites.weights, sites.x
-        arguments = self.lowered.arguments
         tables = [sites.table(source) for source in arguments]
-        values = [source.layout.value_slots(source.used) for source in arguments if source.layout]
-        # sums over a cell come before the contraction only where there is something to sum up
-        several = len(sites.rows) > len(sites.groups)
-        linear = several and all(v is not None for v in values)
-        if linear:
-            dim = x.shape[1]
+        slots = [a for t in tables for a in (t.basis, t.column, t.length, t.start)]
+        sums_first = self._sums_first
+        values: list[Any] = []
+        if sums_first:
+            values = [s.layout.value_slots(s.used) for s in arguments if s.layout is not None]
             pairs = zip(tables, values, strict=True)
-            slots = [a for t, v in pairs for a in linear_loops.with_moments(t, v, dim)]
-        else:
-            slots = [a for t in tables for a in (t.basis, t.column, t.length, t.start)]
-        n_local = [self._dofs[id(source)].shape[1] for source in arguments]
-        kernel = self.kernel
-        for batch in sites.batches(math.prod(n_local)):
-            groups = batch[0]
-            result = np.empty((groups.stop - groups.start, *n_local))
-            offsets = sites.offsets[groups.start : groups.stop + 1]
-            if kernel is None:
-                result[:] = 0.0
-                yield groups, result
+            slots = [a for t, v in pairs for a in linear_loops.with_moments(t, v, x.shape[1])]
+        for groups, batch in sites.batches(numbers):
+            if self.kernel is None:
+                yield groups, lambda result: result.fill(0.0), ()
                 continue
-            common = (kernel.address, offsets, weights)
-            inputs = inputs_at(batch)
+            offsets = sites.offsets[groups.start : groups.stop + 1]
+            common = (self.kernel.address, offsets, weights)
+            inputs = inputs_at((groups, batch))
             if len(arguments) == 0:
-                loops.element_scalars(*common, inputs, result)
-            elif linear:
+                yield groups, loops.element_scalars, (*common, inputs)
+            elif sums_first:
                 matrix = len(arguments) == 2
                 element = linear_loops.element_matrices if matrix else linear_loops.element_vectors
-                element(*common, sites.rows, inputs, x, *values, *slots, result)
+                yield groups, element, (*common, sites.rows, inputs, x, *values, *slots)
+            elif len(arguments) == 1:
+                yield groups, loops.element_vectors, (*common, sites.rows, inputs, *slots)
             else:
-                matrix = len(arguments) == 2
-                element = matrix_loops.element_matrices if matrix else loops.element_vectors
-                element(*common, sites.rows, inputs, *slots, result)
-            yield groups, result
+                where = (sites.rows, inputs, self._is_square, *slots)
+                yield groups, matrix_loops.element_matrices, (*common, *where)
+
+    @property
+    def _is_square(self) -> bool:
+        """Whether test and trial functions are the same ones, with the same slots."""
+        test, trial = self.lowered.arguments
+        spaces = [source.item.ufl_function_space() for source in (test, trial)]
+        return spaces[0] == spaces[1] and np.array_equal(test.used, trial.used)
 
     def point_tensors(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
         """Kernel's output at the selected points, a batch at a time.
