@@ -19,9 +19,9 @@ COMM = MPI.COMM_WORLD
 ANGLE, GRAVITY = np.pi / 6, 9.81
 
 
-def lattice(upper, shape):
+def lattice(upper, shape, comm=COMM):
     return mesh.create_rectangle(
-        COMM, [(0, 0), upper], shape, mesh.CellType.quadrilateral,
+        comm, [(0, 0), upper], shape, mesh.CellType.quadrilateral,
         partitioner=basis.shared_vertex_partitioner,
     )  # fmt: skip
 
@@ -79,9 +79,9 @@ ALONG, UP = np.array([np.cos(ANGLE), -np.sin(ANGLE)]), np.array([np.sin(ANGLE), 
 FOOT = np.array([0.2, 1.4])  # of the block, at its upper end
 
 
-def block_on_an_incline(h, rho):
+def block_on_an_incline(h, rho, comm=COMM):
     """The block and its lower edge; nothing of the incline is along the grid."""
-    domain = lattice((2.4, 2.0), [round(2.4 / h), round(2.0 / h)])
+    domain = lattice((2.4, 2.0), [round(2.4 / h), round(2.0 / h)], comm)
 
     def inside(x):
         s, d = (x[:2].T - FOOT) @ ALONG, (x[:2].T - FOOT) @ UP
@@ -153,11 +153,10 @@ def elastic(z, body, law):
     return fm.Response(energy, body, fm.Kinematics(z.u, body).F).P
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("friction", [0.3, 0.6])
-def test_block_on_an_incline_explicit(friction):
+def explicit_block(friction, comm=COMM):
+    """Simulation, body and force of the block in explicit steps."""
     E = 1e6
-    domain, body, edge = block_on_an_incline(0.1, rho=1000.0)
+    domain, body, edge = block_on_an_incline(0.1, rho=1000.0, comm=comm)
     z, law = fm.Unknown(domain, "v"), Hencky(E, 0.3)
     floor = fm.wall(z, edge, law, incline, friction=friction, factor=10.0)
     g = fem.Constant(domain, (0.0, 0.0))
@@ -168,7 +167,25 @@ def test_block_on_an_incline_explicit(friction):
 
     force = Resultant(z, floor)
     sim = ExplicitMPM(R, z, body, carried=[edge], data=data, observers=[force], flip=0.99)
+    return sim, body, force
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+def test_block_on_an_incline_explicit(friction):
+    sim, body, force = explicit_block(friction)
     check_incline(sim, body, force, friction, until=0.32, after=0.2)
+
+
+@pytest.mark.mpi
+def test_explicit_wall_on_ranks():
+    """The same force and momentum on any number of ranks."""
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        sim, body, force = explicit_block(0.6, comm)
+        for _ in range(30):
+            sim.step()
+        found.append([*force.value, *momentum(body)])
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
 
 
 def disc_on_a_slope(h, E, rho, R=0.2):
