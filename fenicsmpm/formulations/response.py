@@ -94,7 +94,7 @@ class _Computed:
     def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
         """One of the results as a coefficient: "F_0", "P_0", "dPdF" or "work_0"."""
         result = ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
-        result.renewals = self.renewals
+        result.renewals, result.source = self.renewals, self._law
         return result
 
     def _new_field(self, name: str) -> Callable[[], Array]:

@@ -8,6 +8,7 @@ from fenicsmpm.materials.hencky import Hencky
 from fenicsmpm.materials.hyperelastic import VOLUMETRIC_LAWS, NeoHookean
 from fenicsmpm.materials.law import Law, compiled
 from fenicsmpm.materials.plasticity import VonMises
+from fenicsmpm.materials.stretch import stretch_of
 
 __all__ = [
     "VOLUMETRIC_LAWS",
@@ -22,5 +23,6 @@ __all__ = [
     "from_energy",
     "state_of",
     "stress",
+    "stretch_of",
     "tangent",
 ]

@@ -28,7 +28,7 @@ class Law:
 
     Args:
         update: ``update(F, L, parameters, state, sigma)``: from the deformation gradient F
-            ``(3, 3)`` (with F-bar, the modified one; F33 = 1 in plane strain), the velocity
+            ``(3, 3)`` (with F-bar, the modified one; F33 stays in plane strain), the velocity
             gradient L ``(3, 3)`` [1/s] and the state before the step, ``(n_state,)``, it sets the
             Cauchy stress sigma ``(3, 3)`` [Pa] and the state after the step.
         parameters: ``(n_parameters,)``, what the functions get as theirs.

@@ -9,12 +9,14 @@ from fenicsmpm.simulation.reaction import Reaction
 from fenicsmpm.simulation.rebalanced import Rebalanced, imbalance
 from fenicsmpm.simulation.resultant import Resultant
 from fenicsmpm.simulation.rigid_box import RigidBox
+from fenicsmpm.simulation.staging import Exchange, add_points, remove_points
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 
 __all__ = [
     "Audit",
     "Balance",
+    "Exchange",
     "ExplicitMPM",
     "ImplicitMPM",
     "Observer",
@@ -25,5 +27,7 @@ __all__ = [
     "Step",
     "StepAudit",
     "UnstableError",
+    "add_points",
     "imbalance",
+    "remove_points",
 ]
