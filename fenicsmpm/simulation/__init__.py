@@ -11,6 +11,7 @@ from fenicsmpm.simulation.resultant import Resultant
 from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.staging import Exchange, add_points, remove_points
 from fenicsmpm.simulation.step import Step
+from fenicsmpm.simulation.throughflow import Sink, Source
 from fenicsmpm.simulation.unstable import UnstableError
 
 __all__ = [
@@ -24,6 +25,8 @@ __all__ = [
     "Rebalanced",
     "Resultant",
     "RigidBox",
+    "Sink",
+    "Source",
     "Step",
     "StepAudit",
     "UnstableError",
