@@ -4,5 +4,6 @@
 from fenicsmpm.shapes.polygon import polygon
 from fenicsmpm.shapes.solid import Solid
 from fenicsmpm.shapes.surface import OpenSurfaceError, surface
+from fenicsmpm.shapes.voxels import contour, mask
 
-__all__ = ["OpenSurfaceError", "Solid", "polygon", "surface"]
+__all__ = ["OpenSurfaceError", "Solid", "contour", "mask", "polygon", "surface"]
