@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What the material carries: points, their seeding, location and migration."""
 
+from fenicsmpm.points.in_solids import in_solid, on_surface
 from fenicsmpm.points.material_points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.points.seeding import (
@@ -20,9 +21,11 @@ __all__ = [
     "at",
     "fill",
     "from_mesh",
+    "in_solid",
     "lattice",
     "on_curve",
     "on_facets",
+    "on_surface",
     "quadrature",
     "random",
 ]
