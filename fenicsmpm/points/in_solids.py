@@ -185,11 +185,11 @@ class _Lattice:
         """This rank's part of the points inside, indices (n, d) and numbers (n,)."""
         total = int(np.prod(self._counts))
         begin, end = (total * r // comm.size for r in (comm.rank, comm.rank + 1))
-        kept = [np.zeros(0, dtype=np.int64)]
+        kept: list[Indices] = [np.zeros(0, dtype=np.int64)]
         for start in range(begin, end, _MANY):
-            number = np.arange(start, min(start + _MANY, end))
-            kept.append(number[self._is_inside(self._index(number))])
-        number = np.concatenate(kept)
+            some = np.arange(start, min(start + _MANY, end), dtype=np.int64)
+            kept.append(some[self._is_inside(self._index(some))])
+        number: Indices = np.concatenate(kept)
         return self._index(number), number
 
     def near(self, index: Indices) -> npt.NDArray[np.bool_]:

@@ -13,6 +13,8 @@ from fenicsmpm.shapes.tree import closest, winding
 _PARTS = 4
 # Components of a normal below this part of the largest one count as zero.
 _SMALL = 1e-4
+# Cosine of the angle between the facet and the plane up to which it is no edge that is closest.
+_ALIKE = 0.95
 
 
 def fractions(
@@ -20,9 +22,9 @@ def fractions(
 ) -> npt.NDArray[np.float64]:
     """Part of each of many equal boxes that is in a solid.
 
-    Where the corners of a box are in or out as the plane through the closest point of the boundary
-    says, it is the part behind that plane (exact for a box that one facet cuts). In other boxes,
-    such as those at edges and around thin parts, it is the part of 4^d points.
+    Where the corners of a box are in or out as the plane says through the closest point of the
+    boundary, it is the part behind that plane (exact for a box that one facet cuts). In other
+    boxes, such as those at edges and around thin parts, it is the part of 4^d points.
 
     Args:
         solid: The solid.
@@ -128,7 +130,10 @@ def _fractions(tree, centre, size):  # type: ignore[no-untyped-def]
         else:
             normal *= sign / distance
         offset = -sign * distance
-        if _is_plane(tree, centre[i], size, normal, offset, x):
+        along = 0.0
+        for k in range(d):
+            along += normal[k] * tree.normals[facet, k]
+        if along > _ALIKE and _is_plane(tree, centre[i], size, normal, offset, x):
             result[i] = _behind_plane(normal, offset, size)
         else:
             result[i] = _sampled(tree, centre[i], size, x)

@@ -113,10 +113,10 @@ def _checked(
     size, start = (np.asarray(each, dtype=np.float64) for each in (spacing, origin))
     if size.shape not in ((), (d,)) or start.shape not in ((), (d,)):
         raise ValueError(
-            f"spacing and origin of an image need 1 or {d} numbers, not {spacing} and {origin}"
+            f"spacing and origin of an image need 1 or {d} numbers, not {spacing!r} and {origin!r}"
         )
     if not np.all((size > 0.0) & (size < np.inf)):
-        raise ValueError(f"the spacing of an image must be positive, not {spacing}")
+        raise ValueError(f"the spacing of an image must be positive, not {spacing!r}")
     return np.broadcast_to(size, d), np.broadcast_to(start, d)
 
 
