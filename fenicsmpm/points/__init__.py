@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """What the material carries: points, their seeding, location and migration."""
 
+from fenicsmpm.points.body_files import read_cloud, read_image, read_solid
+from fenicsmpm.points.cells_from_gmsh import boundary_of, in_cells, read_cells
 from fenicsmpm.points.in_solids import in_solid, on_surface
 from fenicsmpm.points.material_points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
@@ -19,8 +21,10 @@ __all__ = [
     "MaterialPoints",
     "PointsOutsideError",
     "at",
+    "boundary_of",
     "fill",
     "from_mesh",
+    "in_cells",
     "in_solid",
     "lattice",
     "on_curve",
@@ -28,4 +32,8 @@ __all__ = [
     "on_surface",
     "quadrature",
     "random",
+    "read_cells",
+    "read_cloud",
+    "read_image",
+    "read_solid",
 ]
