@@ -171,13 +171,14 @@ def read_cloud(
 
     The first line of a .csv names its columns: "x", "y", in space "z", the volume, and others. A
     .npz has positions "x", shape (n, d), and arrays (n, ...). Files of VTK have points and point
-    data. Arrays other than positions and volumes become fields.
+    data. Arrays other than positions and volumes become fields; "id" is left out, and "tag" is the
+    tag of points, so that points written by `fenicsmpm.io.write` can be read (volume "weight").
 
     Args:
         mesh: Background mesh.
         path: The file.
         volume: Name of the volumes in m^d, in 2D per unit thickness.
-        tag: Tag of the points.
+        tag: Tag of the points, unless the file has tags.
 
     Returns:
         Points with ids in the order of the file.
@@ -194,7 +195,9 @@ def read_cloud(
     none = comm.bcast({name: array[:0] for name, array in arrays.items()})
     arrays = arrays or none
     x, weight = arrays.pop("x"), arrays.pop(volume)
-    return MaterialPoints(mesh, x, weight, tag=tag, fields=arrays)
+    arrays.pop("id", None)
+    tags = arrays.pop("tag", tag)
+    return MaterialPoints(mesh, x, weight, tag=tags, fields=arrays)
 
 
 def _cloud(file: Path, dim: int, volume: str) -> dict[str, npt.NDArray[np.float64]]:
@@ -228,7 +231,9 @@ def _columns(file: Path) -> dict[str, npt.NDArray]:
     """Columns of a .csv file by their names, coordinates as "x"."""
     names = [name.strip() for name in file.read_text().partition("\n")[0].split(",")]
     table = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
-    columns = dict(zip(names, table.T, strict=True))
+    if table.shape[1] != len(names):
+        raise ValueError(f"{file}: {len(names)} names in the first line, {table.shape[1]} columns")
+    columns: dict[str, npt.NDArray] = {name: table[:, i] for i, name in enumerate(names)}
     places = [columns.pop(name) for name in ("x", "y", "z") if name in columns]
     return columns | {"x": np.stack(places, axis=1)} if places else columns
 

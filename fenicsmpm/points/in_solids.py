@@ -36,10 +36,10 @@ def in_solid(mesh: Mesh, solid: Solid, spacing: float | Array, tag: int = 0) -> 
 
     The lattice is that of `lattice`. Its boxes that the boundary cuts count with the part that is
     inside (`fenicsmpm.shapes.fractions`): a point whose box is cut has that part; that of a box
-    with its centre outside is shared by the points next to it. What is still missing, in the order
-    of (spacing / size of the solid)^2, is made up by one factor for all these points near the
-    boundary, so that the total is that of the solid to round-off. Points inside have the volume
-    spacing^d.
+    with its centre outside is shared by the points next to it. What these parts are wrong by, below
+    1 % of the volume with 8 points across and falling, is made up by one factor for all points near
+    the boundary: the total is the volume of the solid to round-off. Points farther inside have the
+    volume spacing^d.
 
     Args:
         mesh: Background mesh, which contains the solid.

@@ -9,12 +9,12 @@ from fenicsmpm._njit import njit
 from fenicsmpm.shapes.solid import Solid
 from fenicsmpm.shapes.tree import closest, winding
 
-# Parts along each side of boxes that the boundary does not cut like a plane.
-_PARTS = 4
+# Points along each side of a box at which solid and plane are compared.
+_POINTS = 4
 # Components of a normal below this part of the largest one count as zero.
 _SMALL = 1e-4
-# Cosine of the angle between the facet and the plane up to which it is no edge that is closest.
-_ALIKE = 0.95
+# Points closer to the plane than this part of the box are on it.
+_ON = 1e-9
 
 
 def fractions(
@@ -22,9 +22,9 @@ def fractions(
 ) -> npt.NDArray[np.float64]:
     """Part of each of many equal boxes that is in a solid.
 
-    Where the corners of a box are in or out as the plane says through the closest point of the
-    boundary, it is the part behind that plane (exact for a box that one facet cuts). In other
-    boxes, such as those at edges and around thin parts, it is the part of 4^d points.
+    It is the part behind the plane through the closest point of the boundary, which is exact for a
+    box that one facet cuts, and the difference between solid and plane at 4^d points, which sees
+    edges, curvature and thin parts.
 
     Args:
         solid: The solid.
@@ -79,32 +79,20 @@ def _behind_plane(normal, offset, size):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def _is_plane(tree, centre, size, normal, offset, x):  # type: ignore[no-untyped-def]
-    """Whether the corners of a box are in or out as a plane says, as far as they are not on it."""
+def _beside_plane(tree, centre, size, normal, offset, x):  # type: ignore[no-untyped-def]
+    """Part of a box in the solid less that behind the plane, at the points of a fine lattice."""
     d = len(size)
-    largest = size.max()
-    for corner in range(2**d):
-        above = -offset
-        for k in range(d):
-            side = size[k] if (corner >> k) & 1 else -size[k]
-            x[k] = centre[k] + 0.5 * side
-            above += 0.5 * normal[k] * side
-        if abs(above) > 0.02 * largest and (winding(tree, x) > 0) != (above < 0.0):
-            return False
-    return True
-
-
-@numba.njit
-def _sampled(tree, centre, size, x):  # type: ignore[no-untyped-def]
-    """Part of the points of a fine lattice in a box that are inside."""
-    d = len(size)
-    count, total = 0, _PARTS**d
+    count, total = 0, _POINTS**d
+    near = _ON * size.max()
     for number in range(total):
-        rest = number
+        rest, above = number, -offset
         for k in range(d):
-            x[k] = centre[k] + ((rest % _PARTS + 0.5) / _PARTS - 0.5) * size[k]
-            rest //= _PARTS
-        count += winding(tree, x) > 0
+            way = ((rest % _POINTS + 0.5) / _POINTS - 0.5) * size[k]
+            x[k] = centre[k] + way
+            above += normal[k] * way
+            rest //= _POINTS
+        if abs(above) > near:
+            count += int(winding(tree, x) > 0) - int(above < 0.0)
     return count / total
 
 
@@ -130,11 +118,7 @@ def _fractions(tree, centre, size):  # type: ignore[no-untyped-def]
         else:
             normal *= sign / distance
         offset = -sign * distance
-        along = 0.0
-        for k in range(d):
-            along += normal[k] * tree.normals[facet, k]
-        if along > _ALIKE and _is_plane(tree, centre[i], size, normal, offset, x):
-            result[i] = _behind_plane(normal, offset, size)
-        else:
-            result[i] = _sampled(tree, centre[i], size, x)
+        part = _behind_plane(normal, offset, size)
+        part += _beside_plane(tree, centre[i], size, normal, offset, x)
+        result[i] = min(max(part, 0.0), 1.0)
     return result
