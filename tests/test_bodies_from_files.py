@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Bodies from files that the tests write: volumes, areas, normals, ids; what is refused."""
 
+import sys
+
 from mpi4py import MPI
 
 import numpy as np
@@ -149,6 +151,29 @@ def test_same_points_on_any_number_of_ranks():
                 np.testing.assert_allclose(mine, single[name][order], rtol=1e-13, atol=1e-15)
 
 
+@pytest.mark.parametrize("across, most", [(8, 0.01), (16, 0.003)])
+def test_parts_at_the_boundary(across, most):
+    """Volumes before the last factor, of solids anywhere on the lattice: as docs/bodies.md says."""
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    disc = shapes.polygon(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    cube = shapes.mask(np.ones((1, 1, 1), dtype=bool), 2.0, -1.0)
+    rng = np.random.default_rng(0)
+    for domain, solid in ((plane(), disc), (space(), cube)):
+        for _ in range(8):
+            moved = solid.transformed(rng.uniform(0.8, 1), rng.uniform(-0.3, 0.3, solid.dim))
+            size = np.full(solid.dim, 2 / across)
+            inside = points.in_solid(domain, moved, 2 / across)
+            whole = np.isclose(inside.weight, size.prod(), rtol=1e-14)
+            n = int(np.ceil(1.5 * across)) + 1
+            grid = np.indices((n,) * solid.dim).reshape(solid.dim, -1).T
+            parts = shapes.fractions(moved, -1.5 + (grid + 0.5) * size, size)
+            assert parts.sum() * size.prod() == pytest.approx(moved.volume, rel=most)
+            assert total(inside, np.ones(len(inside))) == pytest.approx(moved.volume, rel=1e-13)
+            # those that are changed are near the boundary
+            far = moved.distance(inside.x.T) < -np.linalg.norm(size)
+            assert np.all(whole[far])
+
+
 def test_few_points_are_told(said):
     """A strip that passes between most points: those inside do not have its volume alone."""
     strip = shapes.polygon([(-1, -0.3), (1, 0.3), (1, 0.34), (-1, -0.26)])
@@ -174,6 +199,27 @@ def test_solid_between_points():
     small = shapes.polygon([(0.01, 0.01), (0.02, 0.01), (0.01, 0.02)])
     with pytest.raises(ValueError, match=r"no point of a lattice of spacing 0\.5 is in Solid of 3"):
         points.in_solid(plane(), small, 0.5)
+
+
+def test_surface_of_volumes(directory):
+    """Cells of volumes in a .vtu: their outer sides."""
+    import pyvista
+
+    def write():
+        grid = pyvista.ImageData(dimensions=(4, 3, 2), spacing=(0.1, 0.2, 0.3))
+        grid.cast_to_unstructured_grid().save(directory / "box.vtu")
+
+    on_rank_0(write)
+    box = points.read_solid(directory / "box.vtu")
+    assert (box.volume, box.area) == (pytest.approx(0.036), pytest.approx(0.66))
+
+
+def test_without_pyvista(directory, monkeypatch):
+    on_rank_0(lambda: (directory / "ball.stl").write_text(""))
+    if COMM.rank == 0:
+        monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(ImportError, match="pyvista"):
+        points.read_solid(directory / "ball.stl")
 
 
 # --- what surfaces are refused, on all ranks -----------------------------------------------------
