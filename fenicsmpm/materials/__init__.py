@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: MIT
 """Constitutive laws: in UFL, and at points, compiled by numba."""
 
+from fenicsmpm.materials.drucker_prager import DruckerPrager
 from fenicsmpm.materials.evaluate import bulk_to_shear, energy, state_of, stress, tangent
 from fenicsmpm.materials.fluid import NewtonianFluid
 from fenicsmpm.materials.from_energy import from_energy
 from fenicsmpm.materials.hencky import Hencky
 from fenicsmpm.materials.hyperelastic import VOLUMETRIC_LAWS, NeoHookean
 from fenicsmpm.materials.law import Law, compiled
+from fenicsmpm.materials.mohr_coulomb import MohrCoulomb
 from fenicsmpm.materials.plasticity import VonMises
 
 __all__ = [
     "VOLUMETRIC_LAWS",
+    "DruckerPrager",
     "Hencky",
     "Law",
+    "MohrCoulomb",
     "NeoHookean",
     "NewtonianFluid",
     "VonMises",
