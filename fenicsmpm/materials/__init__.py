@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Constitutive laws: in UFL, and at points, compiled by numba."""
 
+from fenicsmpm.materials.cam_clay import ModifiedCamClay
+from fenicsmpm.materials.differences import check_tangent
 from fenicsmpm.materials.drucker_prager import DruckerPrager
 from fenicsmpm.materials.evaluate import bulk_to_shear, energy, state_of, stress, tangent
 from fenicsmpm.materials.fluid import NewtonianFluid
@@ -16,11 +18,13 @@ __all__ = [
     "DruckerPrager",
     "Hencky",
     "Law",
+    "ModifiedCamClay",
     "MohrCoulomb",
     "NeoHookean",
     "NewtonianFluid",
     "VonMises",
     "bulk_to_shear",
+    "check_tangent",
     "compiled",
     "energy",
     "from_energy",
