@@ -78,8 +78,8 @@ def check_tangent(
 ) -> float:
     """Compare the tangent of a law with differences of its stress.
 
-    The law is differentiated to second order by central and by one-sided differences, of which that
-    counts that is nearest to the tangent: at a kink, such as first yield, a tangent of either side
+    There are central differences of fourth order and one-sided ones of second order, of which those
+    count that are nearest to the tangent: at a kink, such as first yield, a tangent of either side
     is right.
 
     Args:
@@ -119,7 +119,11 @@ def check_tangent(
         a, b, c, e = P(-2 * d), P(-d), P(d), P(2 * d)
         h = _STEP * size
         slopes = np.stack(
-            [(c - b) / (2 * h), (4 * c - e - 3 * P_0) / (2 * h), (3 * P_0 - 4 * b + a) / (2 * h)]
+            [
+                (8 * (c - b) - (e - a)) / (12 * h),
+                (4 * c - e - 3 * P_0) / (2 * h),
+                (3 * P_0 - 4 * b + a) / (2 * h),
+            ]
         )
         error = np.abs(slopes - found[..., k, m]).max(axis=(2, 3))
         # NaN is the worst
