@@ -96,7 +96,7 @@ def _solve(volume, Q, eps_v_p, parameters):  # type: ignore[no-untyped-def]
         r = math.exp(-2 * y)
         f = q * r + new_p * (new_p - new_c)
         size = q * r + new_p * (new_p + new_c)
-        if not abs(f) > 1e-15 * size:
+        if not abs(f) > 4e-15 * size:
             break
         if f > 0:
             low = y
@@ -111,7 +111,7 @@ def _solve(volume, Q, eps_v_p, parameters):  # type: ignore[no-untyped-def]
         if not low < y < high or abs(f) > 0.5 * last:
             y = 0.5 * (low + high)
         last = abs(f)
-        if not abs(y - before) > 1e-16 * (1 + high):
+        if not abs(y - before) > 1e-16 * y:
             break
     return gamma, x, new_p, new_c
 
