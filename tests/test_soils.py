@@ -621,3 +621,99 @@ def test_energy_and_momenta_in_implicit_steps(name):
     assert total_energy(body) == pytest.approx(energy, rel=1e-10)
     assert diagnostics.momentum(body) == pytest.approx(momentum, abs=1e-11)
     assert diagnostics.angular_momentum(body) == pytest.approx(turning, abs=1e-10)
+
+
+# --- parameters -------------------------------------------------------------------------------
+
+
+@frictional
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"E": 0.0}, "E = 0.0"),
+        ({"nu": 0.5}, "nu = 0.5"),
+        ({"friction": 90.0}, r"friction must lie in \[0, 90\) degrees: friction = 90.0"),
+        ({"friction": -1.0}, "friction = -1.0"),
+        ({"friction": math.nan}, "friction = nan"),
+        ({"friction": "30"}, "friction = '30'"),
+        ({"dilatancy": 31.0}, "dilatancy above friction .* 31.0 degrees, friction = 30.0 degrees"),
+        ({"dilatancy": -1.0}, r"dilatancy must lie in \[0, 90\) degrees: dilatancy = -1.0"),
+        ({"cohesion": -1.0}, "cohesion must be finite and not negative: cohesion = -1.0 Pa"),
+        ({"cohesion": math.inf}, "cohesion = inf"),
+        ({"cohesion": 0.0, "friction": 0.0}, "no strength at all"),
+        ({"tension": 30.0}, "above the tip of the yield surface: tension = 30 Pa, tip 17.32"),
+        ({"tension": -1.0}, "tension = -1.0 Pa"),
+        ({"residual_cohesion": 1.0}, "residual_cohesion = 1.0 without softening_strain"),
+        ({"softening_strain": 0.1}, "softening_strain = 0.1 without a residual value"),
+        ({"softening_strain": 0.0, "residual_cohesion": 1.0}, "softening_strain = 0.0"),
+        (
+            {"softening_strain": 0.1, "residual_cohesion": 11.0},
+            "residual_cohesion = 11 Pa is",
+        ),
+        ({"softening_strain": 0.1, "residual_friction": 31.0}, "residual_friction = 31 degrees is"),
+        ({"softening_strain": 0.1, "residual_friction": -1.0}, "residual_friction = -1.0"),
+        ({"softening_strain": 1e-4, "residual_cohesion": 0.0}, "steeper than the elastic"),
+        (
+            {"softening_strain": 0.1, "residual_friction": 10.0, "dilatancy": 20.0},
+            "residual_dilatancy = 20.0 degrees, residual_friction = 10.0 degrees",
+        ),
+    ],
+)
+def test_wrong_parameters_of_frictional_laws(kind, change, message):
+    right = {"E": E, "nu": NU, "cohesion": 10.0, "friction": 30.0}
+    with pytest.raises(ValueError, match=message):
+        kind(**{**right, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mu": 0.0}, "mu = 0.0"),
+        ({"M": 0.0}, "slope of the critical state line must be positive and finite: M = 0.0"),
+        ({"M": -1.0}, "M = -1.0"),
+        ({"M": None}, "M = None"),
+        ({"swelling": 0.0}, "swelling = 0.0"),
+        ({"compression": 0.02}, "more than swelling: compression = 0.02, swelling = 0.02"),
+        ({"pressure": 0.0}, "pressure = 0.0"),
+        ({"preconsolidation": 50.0}, "preconsolidation = 50.0 Pa is below pressure = 100.0 Pa"),
+        ({"preconsolidation": math.nan}, "preconsolidation = nan"),
+    ],
+)
+def test_wrong_parameters_of_cam_clay(change, message):
+    right = {"mu": 1e3, "M": 1.2, "compression": 0.1, "swelling": 0.02, "pressure": 100.0}
+    with pytest.raises(ValueError, match=message):
+        ModifiedCamClay(**{**right, **change})
+
+
+def test_a_match_that_there_is_not():
+    with pytest.raises(ValueError, match="'compression', 'extension' or 'plane strain', not 'in"):
+        DruckerPrager(E, NU, 1.0, 30.0, match="inner")
+
+
+@every_law
+def test_inverted_deformation_is_not_a_number(name):
+    F = np.diag([1.0, 1.0, -0.5])[None]
+    assert np.isnan(materials.stress(made(name), F)).any()
+
+
+def test_softening_warns(said):
+    MohrCoulomb(E, NU, 1.0, 30.0)
+    assert not said
+    MohrCoulomb(E, NU, 10.0, 30.0, softening_strain=0.1, residual_cohesion=1.0)
+    (line,) = said
+    assert "without a length scale" in line
+
+
+def test_print():
+    text = repr(MohrCoulomb(E, NU, 10.0, 30.0, 5.0, **{**SOFTENING, "residual_dilatancy": 5.0}))
+    assert "10 Pa, 30 degrees, 5 degrees, residual: 1 Pa, 20 degrees, 5 degrees" in text
+    assert "tension=17.32" in text
+    assert "M=1.2" in repr(cam_clay()) and "preconsolidation=100 Pa" in repr(cam_clay())
+
+
+def test_bulk_to_shear():
+    """Sand without pressure has no shear stress, and clay has a pressure without strain."""
+    for law in (DruckerPrager(E, NU, 0.0, 30.0), MohrCoulomb(E, NU, 0.0, 30.0)):
+        assert materials.bulk_to_shear(law) == pytest.approx(KAPPA / MU, rel=1e-3)
+    # of Cauchy's stress -p / J: p / kappa + p
+    assert materials.bulk_to_shear(cam_clay(2.0)) == pytest.approx(5100.0 / 1000.0, rel=1e-2)

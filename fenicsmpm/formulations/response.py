@@ -81,7 +81,7 @@ class Response:
         """
         if self._work is None:
             raise ValueError(
-                f"this law has no energy, so that its work is not known: {self._material!r}"
+                f"work and energy-momentum stress need a law with an energy: {self._material!r}"
             )
         return self._work
 

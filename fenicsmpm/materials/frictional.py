@@ -308,17 +308,13 @@ class Frictional(Law):
                 dilatancy if residual_dilatancy is None else residual_dilatancy,
                 "residual_",
             )
-            for name, low, high, unit in zip(
-                ("cohesion", "friction", "dilatancy"),
-                residual,
-                peak,
-                ("Pa", "rad", "rad"),
-                strict=True,
-            ):
+            names = ("cohesion", "friction", "dilatancy")
+            for name, low, high in zip(names, residual, peak, strict=True):
                 if low > high:
+                    unit, one = ("Pa", 1.0) if name == "cohesion" else ("degrees", math.pi / 180)
                     raise ValueError(
-                        f"what softens must not grow: residual_{name} = {low:g} {unit} is above "
-                        f"{name} = {high:g} {unit}"
+                        f"what softens must not grow: residual_{name} = {low / one:g} {unit} is "
+                        f"above {name} = {high / one:g} {unit}"
                     )
         strengths = [coefficients(*values) for values in (peak, residual)]
         (eta, k, _), (residual_eta, residual_k, _) = strengths

@@ -60,8 +60,8 @@ def principal_strains(b):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
-    """Set sigma to tau / J, from principal values and directions."""
-    r = 1 / jacobian
+    """Set sigma to tau / J, from principal values and directions; NaN unless J is positive."""
+    r = 1 / jacobian if jacobian > 0 else math.nan
     s = compose((r * tau[0], r * tau[1], r * tau[2]), n)
     sigma[0, 0], sigma[1, 1], sigma[2, 2] = s[0], s[1], s[2]
     sigma[0, 1] = sigma[1, 0] = s[3]
