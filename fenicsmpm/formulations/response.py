@@ -110,7 +110,9 @@ class _Computed:
             law.work_gradient or _no_gradient,
         )  # fmt: skip
         self._has_dissipation = "dissipation" in law.columns
-        self.renewals = {name: self._new_field(name) for name in law.state}
+        self.renewals: dict[str, Callable[[], Array]] = {
+            name: self._new_field(name) for name in law.state
+        }
 
     def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
         """One of the results as a coefficient, by its name in ``update``."""
