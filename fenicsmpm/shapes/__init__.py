@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: MIT
+"""Solids by their boundaries, as predicates and signed distances; knows no mesh and no ranks."""
+
+from fenicsmpm.shapes.polygon import polygon
+from fenicsmpm.shapes.solid import Solid
+from fenicsmpm.shapes.surface import OpenSurfaceError, surface
+
+__all__ = ["OpenSurfaceError", "Solid", "polygon", "surface"]
