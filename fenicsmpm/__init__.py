@@ -16,13 +16,16 @@ from fenicsmpm import (
     io,
     materials,
     points,
+    rigid,
+    shapes,
     simulation,
     solvers,
     transfer,
     verification,
 )
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, RigidBox, UnstableError
+from fenicsmpm.rigid import RigidBody
+from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, UnstableError
 
 __version__ = "0.1.0"
 
@@ -30,7 +33,7 @@ __all__ = [
     "ExplicitMPM",
     "ImplicitMPM",
     "MaterialPoints",
-    "RigidBox",
+    "RigidBody",
     "UnstableError",
     "basis",
     "cells",
@@ -40,6 +43,8 @@ __all__ = [
     "io",
     "materials",
     "points",
+    "rigid",
+    "shapes",
     "simulation",
     "solvers",
     "transfer",

@@ -8,7 +8,6 @@ from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.reaction import Reaction
 from fenicsmpm.simulation.rebalanced import Rebalanced, imbalance
 from fenicsmpm.simulation.resultant import Resultant
-from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 
@@ -21,7 +20,6 @@ __all__ = [
     "Reaction",
     "Rebalanced",
     "Resultant",
-    "RigidBox",
     "Step",
     "StepAudit",
     "UnstableError",
