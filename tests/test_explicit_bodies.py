@@ -169,11 +169,10 @@ def unchanged(body, before):
 
 @pytest.mark.parametrize("interval", [1, 3])
 def test_a_box_that_fails_leaves_the_points_as_they_were(interval):
-    """Pushed out of the lattice, entered from the start, with a velocity that is no number."""
+    """Pushed out of the lattice, or entered from the start."""
     for upper, velocity, message in (
         (0.19, 300.0, "leaves the lattice|is not finite|is inverted"),
         (0.4, 0.0, "a point is inside of the rigid body"),
-        (0.19, np.nan, "velocity of the rigid body .* must be finite"),
     ):
         body, V = box((0.2, 0.3), (0.5, 0.7))
         wall = RigidBody(shapes.Box([-np.inf] * 2, [upper, np.inf]), 0.01, velocity=(velocity, 0.0))

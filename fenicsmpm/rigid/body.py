@@ -37,7 +37,7 @@ class RigidBody:
             bodies the one at the start.
         angular_velocity: ``(3,)``, in the plane a number [rad/s]; likewise.
         centre: about which the body turns ``(d,)`` [m]; None for the centre of mass of free bodies,
-            and the centroid of others.
+            and the middle of the bounds of others, 0 where these are infinite.
         rotation: of the shape about the centre before the start, an angle in the plane, in space a
             vector ``(3,)`` whose length is the angle [rad].
         inertia: what makes the body free, such as ``rigid.inertia_of(shape, density)``.
@@ -138,10 +138,10 @@ class RigidBody:
             return self.inertia.centre
         if centre is not None:
             return centre
-        if hasattr(self.shape, "centroid"):
-            return np.asarray(self.shape.centroid)
-        lower, upper = self.shape.bounds()
-        return (lower + upper) / 2
+        ends = np.array(self.shape.bounds())
+        with np.errstate(invalid="ignore"):
+            middle = ends.mean(axis=0)
+        return np.where(np.isfinite(ends).all(axis=0), middle, 0.0)
 
     # --- where it is and how it moves ----------------------------------------------------------
 

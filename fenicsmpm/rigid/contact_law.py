@@ -14,8 +14,10 @@ body that is thicker than twice the way of a step; one that is in it from the be
 
 Friction is Coulomb's, elastic up to its limit (P. Wriggers, Computational Contact Mechanics, 2006,
 section 5.2): from where it touches first, a point drags a spring along the body, and a damper that
-would stop it in one step. A spring whose force is at its limit slides with the point. A force that
-only acted against the present slip would let a body creep that ought to rest.
+would stop in one step how it has moved in the last one. A spring whose force is at its limit slides
+with the point. A force that only acted against the present slip would let a body creep that ought
+to rest. The damper does not go by the velocities of points: with FLIP, they have parts that nothing
+moves by.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -75,7 +77,8 @@ class Contact(NamedTuple):
 
 
 # Arrays of points are indexed by component and point, so that those in blocks of eight, from some
-# row on, and transposed ones are served by the same functions. `work` has rows for vectors.
+# row on, and transposed ones are served by the same functions. That of slips has two vectors in the
+# body's frame: the spring, and the way along the body in the last step. `work` has rows for vectors.
 
 
 @_njit
@@ -154,13 +157,12 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
         force[k] = f * normal[k]
     if body.friction > 0.0:
         for k in range(len(force)):
-            w[k] -= approach * normal[k]
-            t[k] = slip[first + k, i]
+            # what would hold the point, in lengths
+            t[k] = _SPRING * slip[2 * first + k, i] + slip[2 * first + len(force) + k, i]
         turn(body, t, y)
         along = dot(t, normal)
         for k in range(len(force)):
-            # what would hold the point, in lengths
-            t[k] = _SPRING * (t[k] - along * normal[k]) + dt * w[k]
+            t[k] -= along * normal[k]
         length = unit * np.sqrt(dot(t, t))
         limit = body.friction * f if f > 0.0 else 0.0
         slides = length > limit
@@ -168,9 +170,9 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
         for k in range(len(force)):
             force[k] -= ratio * unit * t[k]
             if slides:
-                slip[first + k, i] = 0.0
+                slip[2 * first + k, i] = 0.0
                 for j in range(len(force)):
-                    slip[first + k, i] += body.rotation[j, k] * ratio * t[j] / _SPRING
+                    slip[2 * first + k, i] += body.rotation[j, k] * ratio * t[j] / _SPRING
     add_to_total(x, first, i, body, force, total)
     return distance
 
@@ -188,8 +190,8 @@ def keep_out(x, x_next, v, slip, first, i, m, body, dt, work, force, total):
     distance = gap(x_next, first, i, body, y, normal)
     if distance >= body.reach:
         if body.friction > 0.0:
-            for k in range(len(force)):
-                slip[first + k, i] = 0.0
+            for k in range(2 * len(force)):
+                slip[2 * first + k, i] = 0.0
         return False
     was_too_near = distance < _CLOSEST * body.reach
     for _ in range(_ATTEMPTS):
@@ -206,11 +208,11 @@ def keep_out(x, x_next, v, slip, first, i, m, body, dt, work, force, total):
         distance = gap(x_next, first, i, body, y, normal)
     if body.friction > 0.0:
         for k in range(len(force)):
-            slip[first + k, i] += y[k] - body.origin[k]
+            way = y[k] - body.origin[k]
             for j in range(len(force)):
-                slip[first + k, i] -= body.rotation_before[j, k] * (
-                    x[first + j, i] - body.centre_before[j]
-                )
+                way -= body.rotation_before[j, k] * (x[first + j, i] - body.centre_before[j])
+            slip[2 * first + k, i] += way
+            slip[2 * first + len(force) + k, i] = way
     total[6] += m
     for k in range(len(force)):
         total[7] += m * (x_next[first + k, i] - body.centre[k]) ** 2

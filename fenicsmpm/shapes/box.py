@@ -17,8 +17,9 @@ class Box:
         lower: Lowest coordinates in m, shape (d,).
         upper: Highest coordinates in m, shape (d,).
         volume: In m^d.
-        centroid: In m, shape (d,); 0 where one or both ends are infinite.
-        second_moment: Integral of (x - centroid) (x - centroid)^T, shape (d, d), in m^(d + 2).
+        centroid: In m, shape (d,).
+        second_moment: Integral of (x - centroid) (x - centroid)^T, shape (d, d), in m^(d + 2); of
+            no value for a box without end.
     """
 
     def __init__(self, lower: npt.ArrayLike, upper: npt.ArrayLike):
@@ -42,10 +43,9 @@ class Box:
         self.dim = len(self.lower)
         size = self.upper - self.lower
         self.volume = float(np.prod(size))
-        ends = np.isfinite(self.lower) & np.isfinite(self.upper)
-        self.centroid = np.zeros(self.dim)
-        self.centroid[ends] = (self.lower[ends] + self.upper[ends]) / 2
-        self.second_moment = np.diag(self.volume * size**2 / 12)
+        with np.errstate(invalid="ignore"):  # without end, it has none
+            self.centroid = (self.lower + self.upper) / 2
+            self.second_moment = np.diag(self.volume * size**2 / 12)
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest coordinates in m, each of shape (d,)."""

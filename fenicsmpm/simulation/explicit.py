@@ -149,7 +149,7 @@ class ExplicitMPM:
         for k, rigid_body in enumerate(rigid):
             for body in self.bodies if rigid_body.friction > 0 else ():
                 if slip_on(k) not in body:
-                    body.add_field(slip_on(k), (rigid_body.dim,))
+                    body.add_field(slip_on(k), (2, rigid_body.dim))
         self._fixed = unknown.bcs
         self.bcs, self.rigid = [*self._fixed, *bcs], list(rigid)
         self.data = data

@@ -309,7 +309,7 @@ class ByForms:
         for k, rigid in enumerate(sim.rigid):
             rigid.begin(sim.time)
             for body in sim.bodies:
-                slip = slips[body].get(slip_on(k), np.empty((0, self._dim)))
+                slip = self._slip(slips[body], k)
                 forces, bad = push_points(
                     body.x, body["v"], slip, body["mass"], rigid.contact(), sim.dt,
                     self._pushed[k],
@@ -332,7 +332,7 @@ class ByForms:
                 x_next = fields["x"]
                 free = x_next.copy()
                 keep_points_out(
-                    body.x, x_next, fields["v"], fields.get(slip_on(k), np.empty((0, self._dim))),
+                    body.x, x_next, fields["v"], self._slip(fields, k),
                     body["mass"], contact, sim.dt, held[k],
                 )  # fmt: skip
                 fields["u"] += x_next - free
@@ -340,6 +340,11 @@ class ByForms:
             self._V.mesh.comm.Allreduce(MPI.IN_PLACE, held, MPI.SUM)
         for rigid, total in zip(sim.rigid, held, strict=True):
             rigid.end(sim.dt, total)
+
+    def _slip(self, fields: Mapping[str, Array], number: int) -> Array:
+        """Slip on a rigid body ``(n, 2 d)``, of no points without friction."""
+        slip = fields.get(slip_on(number), np.empty((0, 2, self._dim)))
+        return slip.reshape(len(slip), 2 * self._dim)
 
     def _move_nodes(self) -> None:
         """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""

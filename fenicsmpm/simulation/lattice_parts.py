@@ -127,7 +127,7 @@ class Part:
                 old[name] = in_blocks(values, order, copied=name not in ("mass", "V_0"))
         old["x_next"] = np.empty_like(old["x"])
         for name, rows in self._slips.items():
-            slip = out_of_blocks(rows, self._order, n, (self._dim,))
+            slip = out_of_blocks(rows, self._order, n, (2, self._dim))
             self._slips[name] = in_blocks(slip, order)
         sigma = out_of_blocks(self._sigma, self._order, n, (9,))
         self._sigma = in_blocks(sigma, order)
@@ -403,7 +403,7 @@ class Part:
         if name == "sigma":
             return {"sigma": out_of_blocks(self._sigma, order, n, (3, 3))}
         if name in self._slips:
-            return {name: out_of_blocks(self._slips[name], order, n, (d,))}
+            return {name: out_of_blocks(self._slips[name], order, n, (2, d))}
         if name in self._law.state:
             state = out_of_blocks(body.state, order, n, (self._law.n_state,))
             return {k: self._law.state_field(state, k).copy() for k in self._law.state}

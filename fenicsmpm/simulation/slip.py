@@ -3,7 +3,9 @@
 
 
 def slip_on(number: int) -> str:
-    """Field ``(n, d)`` [m] of the slip on a rigid body, in the frame of its shape.
+    """Field ``(n, 2, d)`` [m]: spring of friction on a rigid body, and way in the last step.
+
+    Both are in the frame in which the body's shape was given.
 
     Args:
         number: of the body in ``ExplicitMPM.rigid``.

@@ -34,7 +34,8 @@ def push_points(x, v, slip, mass, body, dt, total):
     Args:
         x: positions.
         v: velocities.
-        slip: elastic slip in the body's frame, to be renewed; of no points without friction.
+        slip: ``(n, 2 d)``, to be renewed: spring of friction and way along the body in the last
+            step, in its frame; of no points without friction.
         mass: ``(n,)``.
         body: the rigid body, a ``Contact``.
         dt: time step [s].
