@@ -108,8 +108,8 @@ def test_a_free_block_rests_on_a_body():
         fixed=[lambda x: np.isclose(x[1], 0)],
     )  # fmt: skip
     sim.damping, forces = 0.3, []
-    for step in sim.run(1.5):
-        if step.time > 1.0:
+    for step in sim.run(2.5):
+        if step.time > 1.5:
             forces.append(free.force)
     weight = 3000.0 * 0.06 * 9.81
     mean = np.mean(forces, axis=0)
@@ -121,7 +121,7 @@ def test_a_free_block_rests_on_a_body():
 def test_a_disc_is_pressed_into_a_block_and_drawn_out():
     """The block gives back the work, and most of it is there as force times way in between."""
     c = np.sqrt(SOLID.wave_speed_modulus / 1000.0)
-    speed, turn = 0.02 * c, 1.0 / c
+    speed, turn = 0.005 * c, 16.0 / c
     disc = RigidBody(
         disc_at(1.0, 0.88, 0.25), H / 4, velocity=lambda t: (0.0, -speed if t < turn else speed)
     )
@@ -135,7 +135,7 @@ def test_a_disc_is_pressed_into_a_block_and_drawn_out():
         largest = max(largest, work)
     assert disc.force == pytest.approx([0, 0], abs=1e-9)  # it is away
     assert largest > 0
-    assert work == pytest.approx(kinetic_energy(body), abs=0.1 * largest)
+    assert work == pytest.approx(kinetic_energy(body), abs=0.05 * largest)
 
 
 @pytest.mark.parametrize("way", ["kernels", "triangles"])
@@ -150,12 +150,12 @@ def test_a_paddle_turns_points(way):
     def inside(x):
         return (np.abs(x[0] - 1.35) < 0.15) & (np.abs(x[1] - 0.95) < 0.15)
 
-    sim, body = start(inside, [paddle], way=way)
+    sim, body = start(inside, [paddle], way=way, upper=(2.0, 2.0))
     moment = impulse = 0.0
-    for _ in sim.run(0.5):
+    for _ in sim.run(0.4):
         impulse += sim.dt * paddle.torque
-        moment += sim.dt * np.cross(paddle.position, paddle.force)
-    assert impulse > 0.1 * body["mass"].sum() * 0.5 * 0.7
+        moment += sim.dt * (centre[0] * paddle.force[1] - centre[1] * paddle.force[0])
+    assert impulse > 10.0
     assert angular_momentum(body) == pytest.approx(impulse + moment, rel=0.03)
     assert paddle.distance(body.x)[0].min() > 0
 
@@ -168,11 +168,7 @@ def test_a_block_sticks_on_an_incline(friction):
         MPI.COMM_SELF, [(0, 0), (2, 1)], [32, 16], mesh.CellType.quadrilateral
     )
     for cfl in (0.4, 0.2):
-        body = points.lattice(
-            domain,
-            h / 2,
-            inside=lambda x: (np.abs(x[0] - 0.75) < 0.25) & (np.abs(x[1] - 0.625) < 0.125),
-        )
+        body = points.lattice(domain, h / 2, inside=shapes.Box((0.5, 0.5), (1.0, 0.75)))
         basis.use(body, "quadratic")
         formulations.set_initial_state(body, 1000.0)
         z, b = formulations.Unknown(domain, "v"), fem.Constant(domain, (0.0, 0.0))
@@ -201,10 +197,9 @@ def test_a_block_sticks_on_an_incline(friction):
 @pytest.mark.parametrize("share", [0.1, 0.01, 1e-9])
 def test_points_that_begin_close_to_a_body(share):
     """The force is finite, and what it does is small."""
-    sim, body = start(square, floors := [None])
-    lowest = body.x[:, 1].min()
-    floors[0] = RigidBody(shapes.Box((-1, -1), (3, lowest - share * H / 4)), H / 4)
-    sim, body = start(square, floors)
+    lowest = start(square, [])[1].x[:, 1].min()
+    floor = RigidBody(shapes.Box((-1, -1), (3, lowest - share * H / 4)), H / 4)
+    sim, body = start(square, [floor])
     for _ in sim.run(0.1):
         assert 0.8 < body["J"].min() and body["J"].max() < 1.25
     assert body.x[:, 1].min() > lowest
@@ -256,9 +251,7 @@ def test_a_surface_in_space():
         domain = mesh.create_box(
             MPI.COMM_SELF, [(0, 0, 0), (1, 1, 1)], [10] * 3, mesh.CellType.hexahedron
         )
-        body = points.lattice(
-            domain, H / 2, inside=lambda x: (np.abs(x - 0.5) < 0.25).all(axis=0) & (x[2] < 0.6)
-        )
+        body = points.lattice(domain, H / 2, inside=shapes.Box((0.25,) * 3, (0.75, 0.75, 0.6)))
         basis.use(body, "quadratic")
         formulations.set_initial_state(body, 1000.0)
         z = formulations.Unknown(domain, "v")
@@ -270,7 +263,7 @@ def test_a_surface_in_space():
         assert momentum(body) + free.momentum == pytest.approx(total, rel=1e-11, abs=1e-11 * 108)
         found.append((free.velocity, free.angular_velocity))
     for one, other in zip(*found, strict=True):
-        assert one == pytest.approx(other, abs=0.02)
+        assert one == pytest.approx(other, abs=0.05)
 
 
 def test_wrong_use():
@@ -289,7 +282,7 @@ def test_wrong_use():
     late = RigidBody(
         disc_at(0.2, 0.2, 0.1), H / 4, velocity=lambda t: (0 if t < 0.1 else np.nan, 0)
     )
-    sim, body = start(square, [late])
+    sim, _ = start(square, [late])
     with pytest.raises(ValueError, match=r"velocity .* must be finite.* at t = 0\.1"):
         for _ in sim.run(1.0):
             pass

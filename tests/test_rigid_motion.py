@@ -103,12 +103,12 @@ def test_body_that_turns_about_its_middle_axis():
             inertia=Inertia(2.0, np.diag([1.0, 2.0, 3.0]), (0, 0, 0)),
         )  # fmt: skip
         before = body.angular_momentum, body.kinetic_energy
-        first = drift(body, 50.0, dt)
-        second = drift(body, 50.0, dt)
+        first = drift(body, 25.0, dt)
+        second = drift(body, 25.0, dt)
         y = body.rotation[1, 1]
         assert abs(y) <= 1
         assert body.angular_momentum == pytest.approx(before[0], rel=1e-12, abs=1e-11)
-        assert body.position == pytest.approx([30.0, 0.0, -20.0])
+        assert body.position == pytest.approx([15.0, 0.0, -10.0])
         swing = [np.abs(e - before[1]).max() / before[1] for e in (first, second)]
         assert swing[1] < 1.1 * swing[0]
         swings.append(swing[0])
@@ -182,7 +182,7 @@ BOX = shapes.Box((0, 0), (1, 1))
         (lambda: RigidBody(BOX, 0.1, spacing=-1.0), "spacing of samples"),
         (lambda: RigidBody(BOX, 0.1, velocity=(np.nan, 0)), "velocity .* must be finite"),
         (lambda: RigidBody(BOX, 0.1, velocity=(1, 0, 0)), r"velocity .* shape \(2,\)"),
-        (lambda: RigidBody(BOX, 0.1, angular_velocity=(1, 0, 0)), r"angular velocity .* shape \(\)"),
+        (lambda: RigidBody(BOX, 0.1, angular_velocity=(1, 0)), "angular velocity .* shape"),
         (lambda: RigidBody(BOX, 0.1, gravity=(0, -9.81)), "gravity .* prescribed does nothing"),
         (lambda: Inertia(0.0, 1.0, (0, 0)), "positive finite mass"),
         (lambda: Inertia(1.0, -1.0, (0, 0)), "positive definite"),

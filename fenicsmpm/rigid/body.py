@@ -105,16 +105,17 @@ class RigidBody:
                         f"a {what} on a rigid body whose motion is prescribed does nothing: give "
                         "it an inertia to set it free"
                     )
-        self._origin = self._vector(self._centre(centre), "centre")
-        self.position = self._origin.copy()
-        self._q = about(self._rotor(rotation, "rotation"))
+        self._origin: Array = self._vector(self._centre(centre), "centre")
+        self.position: Array = self._origin.copy()
+        self._q: Array = about(self._rotor(rotation, "rotation"))
         if isinstance(shape, Box):
             self._field, self.error = of_box(lower, upper), 0.0
         else:
             fine = reach / 2 if spacing is None else spacing
             self._field, self.error = sampled(shape, fine, max(reach, fine))
-        self._v, self._w = np.zeros(self.dim), np.zeros(3)
-        self._L = np.zeros(3)  # angular momentum of a free body about its centre
+        self._v: Array = np.zeros(self.dim)
+        self._w: Array = np.zeros(3)
+        self._L: Array = np.zeros(3)  # angular momentum of a free body about its centre
         if inertia is None:
             self._set_motion(0.0)
         else:
@@ -127,9 +128,11 @@ class RigidBody:
             R, axes = matrix(self._q), inertia.axes
             w = self._rotor(angular_velocity, "angular velocity")
             self._L = R @ axes @ (inertia.moments * (axes.T @ R.T @ w))
-        self._touched = np.zeros(2)  # mass [kg] and polar moment [kg m^2] of points within reach
-        self._pushed = np.zeros(TOTALS)
-        self._held = np.zeros(TOTALS)
+        self._touched: Array = np.zeros(
+            2
+        )  # mass [kg] and polar moment [kg m^2] of points within reach
+        self._pushed: Array = np.zeros(TOTALS)
+        self._held: Array = np.zeros(TOTALS)
 
     def _centre(self, centre: npt.ArrayLike | None) -> npt.ArrayLike:
         if self.inertia is not None:
@@ -332,7 +335,7 @@ class RigidBody:
             raise ValueError(f"the {what} of a rigid body has the shape {shape}, not {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError(
-                f"the {what} of the rigid body {self.name} must be finite: {value}{when}"
+                f"the {what} of the rigid body {self.name} must be finite: {array}{when}"
             )
         return np.broadcast_to(array, shape).copy()
 

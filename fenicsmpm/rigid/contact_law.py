@@ -78,7 +78,8 @@ class Contact(NamedTuple):
 
 # Arrays of points are indexed by component and point, so that those in blocks of eight, from some
 # row on, and transposed ones are served by the same functions. That of slips has two vectors in the
-# body's frame: the spring, and the way along the body in the last step. `work` has rows for vectors.
+# body's frame: the spring, and the way along the body in the last step. `work` has rows for some
+# vectors.
 
 
 @_njit

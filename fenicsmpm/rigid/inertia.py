@@ -40,7 +40,7 @@ class Inertia:
         if not 0 < self.mass < math.inf:
             raise ValueError(f"a free body needs a positive finite mass: {mass}")
         if self.centre.shape not in ((2,), (3,)) or not np.isfinite(self.centre).all():
-            raise ValueError(f"a centre of mass is 2 or 3 finite numbers: {centre}")
+            raise ValueError(f"a centre of mass is 2 or 3 finite numbers: {self.centre}")
         if self.tensor.shape != ((3, 3) if d == 3 else ()):
             raise ValueError(
                 "an inertia is a tensor (3, 3) in space and one number in the plane, not an array "
@@ -50,7 +50,9 @@ class Inertia:
         size = np.abs(full).max()
         if not (np.isfinite(full).all() and np.abs(full - full.T).max() <= 1e-9 * size):
             raise ValueError(f"a tensor of inertia is symmetric and finite: {self.tensor}")
-        self.moments, self.axes = np.linalg.eigh(full)
+        moments, axes = np.linalg.eigh(full)
+        self.moments: Array = moments
+        self.axes: Array = axes
         if not self.moments[0] > 0:
             raise ValueError(
                 "a tensor of inertia is positive definite, but its principal moments are "

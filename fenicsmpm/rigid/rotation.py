@@ -63,4 +63,5 @@ def spin(q: Array, momentum: Array, axes: Array, moments: Array, dt: float) -> A
         j, k = (i + 1) % 3, (i + 2) % 3
         c, s = math.cos(angle), math.sin(angle)
         pi[j], pi[k] = c * pi[j] + s * pi[k], c * pi[k] - s * pi[j]
-    return q / math.sqrt(q @ q)
+    length: float = math.sqrt(q @ q)
+    return np.asarray(q / length, dtype=np.float64)

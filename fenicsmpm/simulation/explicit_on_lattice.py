@@ -312,8 +312,8 @@ class OnLattice:
             reaction, held = mine[2:5], mine[5:].reshape(held.shape)
         if failed:
             sim.raise_if(messages)
-        for body, total in zip(sim.rigid, held, strict=True):
-            body.end(sim.dt, total)
+        for k, body in enumerate(sim.rigid):
+            body.end(sim.dt, held[k])
         sim.reaction = reaction[: self._dim].copy()
         return bool(strays)
 
