@@ -323,6 +323,15 @@ def test_facets(kind, bent):
         integral(mesh, f, measure=ufl.ds, degree=4),
         rtol=1e-12,
     )
+    normal = points["normal"]
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-14)
+    n = ufl.FacetNormal(mesh)
+    for k in range(d):  # of a function that is no gradient, so that each normal counts
+        np.testing.assert_allclose(
+            total(points, normal[:, k] * (points.x[:, 0] ** 2 + points.x[:, 1])),
+            integral(mesh, lambda x, k=k: f(x) * n[k], measure=ufl.ds, degree=4),
+            atol=1e-12,
+        )
 
 
 def test_facets_by_predicate_and_inner_facets():
@@ -333,7 +342,9 @@ def test_facets_by_predicate_and_inner_facets():
     d = 3
     mesh.topology.create_entities(d - 1)
     facets = mesh.topology.index_map(d - 1).size_local
+    np.testing.assert_allclose(end["normal"], np.tile([1.0, 0.0, 0.0], (len(end), 1)), atol=1e-14)
     everything = on_facets(mesh, np.arange(facets, dtype=np.int32))
+    np.testing.assert_allclose(np.linalg.norm(everything["normal"], axis=1), 1.0, rtol=1e-14)
     expected = integral(mesh, measure=ufl.ds) + integral(mesh, measure=ufl.dS)
     np.testing.assert_allclose(everything.volume(), expected, rtol=1e-12)
 
@@ -343,6 +354,9 @@ def test_curve():
     points = on_curve(mesh, (0.5, 0.1), (1.5, 0.1), 0.02)
     assert points.size_global == 50
     np.testing.assert_allclose(points.volume(), 1.0, rtol=1e-14)
+    # the lower side of a body on its way counter-clockwise
+    np.testing.assert_allclose(points["normal"], np.tile([0.0, -1.0], (len(points), 1)))
+    assert "normal" not in on_curve(box(CellType.hexahedron), (0, 0, 0.5), (1, 0, 0.5), 0.1)
     x = np.sort(gathered(points, points.x)[:, 0])
     np.testing.assert_allclose(x, 0.51 + 0.02 * np.arange(50), rtol=1e-14)
     assert on_curve(mesh, (0, 0), (2, 1), 0.4).size_global == 6

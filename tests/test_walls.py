@@ -8,20 +8,20 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import ImplicitMPM, basis, points
+from fenicsmpm import ExplicitMPM, ImplicitMPM, basis, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import momentum, resultant
-from fenicsmpm.materials import NeoHookean
+from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.simulation import Resultant
 
 COMM = MPI.COMM_WORLD
 ANGLE, GRAVITY = np.pi / 6, 9.81
 
 
-def lattice(upper, shape):
+def lattice(upper, shape, comm=COMM):
     return mesh.create_rectangle(
-        COMM, [(0, 0), upper], shape, mesh.CellType.quadrilateral,
+        comm, [(0, 0), upper], shape, mesh.CellType.quadrilateral,
         partitioner=basis.shared_vertex_partitioner,
     )  # fmt: skip
 
@@ -37,7 +37,6 @@ def test_stretched_block_by_nitsche(steps):
     end = points.on_curve(domain, (1.05, 0), (1.05, 0.95), spacing=1 / n / 6)
     for p in (body, end):
         basis.use(p, "quadratic")
-    fm.set_normals(end, (1.0, 0.0))
     z = fm.Unknown(domain, "u", "p")
     for k in range(2):
         z.fix("u", lambda x, k=k: np.isclose(x[k], 0), component=k)
@@ -76,37 +75,64 @@ def test_wall_presses_and_does_not_pull():
             assert resultant(z, R) == pytest.approx([0.0, expected], abs=1e-12)
 
 
-@pytest.mark.parametrize("friction", [0.3, 0.6])
-def test_block_on_an_incline(friction):
-    """It slides with g (sin a - mu cos a), or rests; the plane is not along the grid."""
-    h, E, rho = 0.1, 1e6, 1000.0
-    domain = lattice((2.4, 2.0), [24, 20])
-    along = np.array([np.cos(ANGLE), -np.sin(ANGLE)])
-    up = np.array([np.sin(ANGLE), np.cos(ANGLE)])
-    foot = np.array([0.2, 1.4])  # of the block, at its upper end
+ALONG, UP = np.array([np.cos(ANGLE), -np.sin(ANGLE)]), np.array([np.sin(ANGLE), np.cos(ANGLE)])
+FOOT = np.array([0.2, 1.4])  # of the block, at its upper end
 
-    def local(x):
-        return (x[:2].T - foot) @ along, (x[:2].T - foot) @ up
+
+def block_on_an_incline(h, rho, comm=COMM):
+    """The block and its lower edge; nothing of the incline is along the grid."""
+    domain = lattice((2.4, 2.0), [round(2.4 / h), round(2.0 / h)], comm)
 
     def inside(x):
-        s, d = local(x)
+        s, d = (x[:2].T - FOOT) @ ALONG, (x[:2].T - FOOT) @ UP
         return (s > 0) & (s < 0.6) & (d > 0) & (d < 0.3)
 
     body = points.lattice(domain, h / 4, inside=inside)
     fm.set_initial_state(body, rho)
-    edge = points.on_curve(domain, foot, foot + 0.6 * along, spacing=h / 5)
+    edge = points.on_curve(domain, FOOT, FOOT + 0.6 * ALONG, spacing=h / 5)
     for p in (body, edge):
         basis.use(p, "quadratic")
+    return domain, body, edge
+
+
+def incline(x):
+    """Distance from it [m]."""
+    return (x[0] - FOOT[0]) * UP[0] + (x[1] - FOOT[1]) * UP[1]
+
+
+def check_incline(sim, body, force, friction, until, after):
+    """It slides with g (sin a - mu cos a), or rests."""
+    mass = body["mass"].sum()
+    weight, speeds, times, forces, places = mass * GRAVITY, [], [], [], []
+    for step in sim.run(until):
+        times.append(step.time)
+        speeds.append(momentum(body) @ ALONG / mass)
+        forces.append(force.value)
+        places.append(np.mean(body["u"] @ ALONG))
+    late = np.array(times) > after
+    if friction < np.tan(ANGLE):
+        slope = np.polyfit(np.array(times)[late], np.array(speeds)[late], 1)[0]
+        expected = GRAVITY * (np.sin(ANGLE) - friction * np.cos(ANGLE))
+        assert slope == pytest.approx(expected, rel=0.01)
+    else:
+        # it swings by hundredths of a millimetre; free, it would slide by half a metre meanwhile
+        assert np.ptp(np.array(places)[late]) < 1e-4
+    mean = np.mean(np.array(forces)[late], axis=0)
+    assert mean @ UP == pytest.approx(weight * np.cos(ANGLE), rel=0.01)
+    assert -mean @ ALONG == pytest.approx(
+        weight * min(np.sin(ANGLE), friction * np.cos(ANGLE)), rel=0.02
+    )
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+def test_block_on_an_incline(friction):
+    E = 1e6
+    domain, body, edge = block_on_an_incline(0.1, rho=1000.0)
     z = fm.Unknown(domain, "u")
     law, scheme = NeoHookean(E, 0.3), fm.BDF2(z, dt=0.01)
     cells = ActiveCells(body, loads=[edge])
-    energy = lambda F: law.energy(F, ufl.det(F)) + law.kappa / 2 * (ufl.det(F) - 1) ** 2  # noqa: E731
-    P = fm.Response(energy, body, fm.Kinematics(z.u, body).F).P
-    floor = fm.wall(
-        z, edge, law, lambda x: (x[0] - foot[0]) * up[0] + (x[1] - foot[1]) * up[1],
-        friction=friction, factor=10.0,
-    )  # fmt: skip
-    R = fm.stress_power(P, z.test.u, body) + scheme.inertia(body) + floor
+    floor = fm.wall(z, edge, law, incline, friction=friction, factor=10.0)
+    R = fm.stress_power(elastic(z, body, law), z.test.u, body) + scheme.inertia(body) + floor
     g = fem.Constant(domain, (0.0, 0.0))
     R -= ufl.inner(fm.density(body) * g, z.test.u) * body.dx
 
@@ -118,27 +144,116 @@ def test_block_on_an_incline(friction):
         R, z, scheme, body, carried=[edge], observers=[force], taylor=True, data=data,
         newton={"tying": Tying(z.space, body, cells)},
     )  # fmt: skip
-    mass = body["mass"].sum()
-    weight, speeds, times, forces, places = mass * GRAVITY, [], [], [], []
-    for step in sim.run(0.4):
-        times.append(step.time)
-        speeds.append(momentum(body) @ along / mass)
-        forces.append(force.value)
-        places.append(np.mean(body["u"] @ along))
-    late = np.array(times) > 0.15
-    slope = np.polyfit(np.array(times)[late], np.array(speeds)[late], 1)[0]
-    if friction < np.tan(ANGLE):
-        assert slope == pytest.approx(
-            GRAVITY * (np.sin(ANGLE) - friction * np.cos(ANGLE)), rel=0.01
-        )
-    else:
-        # it swings by hundredths of a millimetre; free, it would slide by half a metre meanwhile
-        assert np.ptp(np.array(places)[late]) < 1e-4
-    mean = np.mean(np.array(forces)[late], axis=0)
-    assert mean @ up == pytest.approx(weight * np.cos(ANGLE), rel=0.01)
-    assert -mean @ along == pytest.approx(
-        weight * min(np.sin(ANGLE), friction * np.cos(ANGLE)), rel=0.02
+    check_incline(sim, body, force, friction, until=0.4, after=0.15)
+
+
+def elastic(z, body, law):
+    """First Piola-Kirchhoff stress of a compressible law in UFL [Pa]."""
+    energy = lambda F: law.energy(F, ufl.det(F)) + law.kappa / 2 * (ufl.det(F) - 1) ** 2  # noqa: E731
+    return fm.Response(energy, body, fm.Kinematics(z.u, body).F).P
+
+
+def explicit_block(friction, comm=COMM):
+    """Simulation, body and force of the block in explicit steps."""
+    E = 1e6
+    domain, body, edge = block_on_an_incline(0.1, rho=1000.0, comm=comm)
+    z, law = fm.Unknown(domain, "v"), Hencky(E, 0.3)
+    floor = fm.wall(z, edge, law, incline, friction=friction, factor=10.0)
+    g = fem.Constant(domain, (0.0, 0.0))
+    R = fm.internal_force(z.test.v, body, law) + fm.body_force(z.test.v, body, g) + floor
+
+    def data(start, end):
+        g.value[1] = -GRAVITY * min(end / 0.1, 1.0)
+
+    force = Resultant(z, floor)
+    sim = ExplicitMPM(R, z, body, carried=[edge], data=data, observers=[force], flip=0.99)
+    return sim, body, force
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+def test_block_on_an_incline_explicit(friction):
+    sim, body, force = explicit_block(friction)
+    check_incline(sim, body, force, friction, until=0.32, after=0.2)
+
+
+@pytest.mark.mpi
+def test_explicit_wall_on_ranks():
+    """The same force and momentum on any number of ranks."""
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        sim, body, force = explicit_block(0.6, comm)
+        for _ in range(30):
+            sim.step()
+        found.append([*force.value, *momentum(body)])
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+def disc_on_a_slope(h, E, rho, R=0.2):
+    """Disc that touches a plane of 30 degrees, and its edge; the plane's distance."""
+    domain = lattice((1.6, 1.2), [round(1.6 / h), round(1.2 / h)])
+    along = np.array([np.cos(ANGLE), -np.sin(ANGLE)])
+    up = np.array([np.sin(ANGLE), np.cos(ANGLE)])
+    foot = np.array([0.3, 0.75])
+    centre = foot + R * up
+    body = points.lattice(
+        domain, h / 4, inside=lambda x: np.hypot(x[0] - centre[0], x[1] - centre[1]) < R
     )
+    body.weight[:] *= np.pi * R**2 / body.volume()
+    fm.set_initial_state(body, rho)
+    n = 6 * round(2 * np.pi * R / h)
+    angle = 2 * np.pi * (np.arange(n if COMM.rank == 0 else 0) + 0.5) / n
+    x = centre + R * np.column_stack([np.cos(angle), np.sin(angle)])
+    edge = points.MaterialPoints(domain, x, 2 * np.pi * R / n)
+    distance = lambda x: (x[0] - foot[0]) * up[0] + (x[1] - foot[1]) * up[1]  # noqa: E731
+    return domain, body, edge, distance, along, centre
+
+
+def accelerations(sim, body, along, until, after):
+    """Of the body along a line [m/s^2], and of its spin [1/s^2], by lines through late times."""
+    mass, times, speeds, spins = body["mass"].sum(), [], [], []
+    for step in sim.run(until):
+        m, x, v = body["mass"], body.x, body["v"]
+        v_c, arm = m @ v / mass, x - m @ x / mass
+        turning = m @ (arm[:, 0] * v[:, 1] - arm[:, 1] * v[:, 0])
+        times.append(step.time)
+        speeds.append(v_c @ along)
+        spins.append(turning / (m @ np.sum(arm**2, axis=1)))
+    late = np.array(times) > after
+    return [np.polyfit(np.array(times)[late], np.array(y)[late], 1)[0] for y in (speeds, spins)]
+
+
+def of_rigid_cylinder(friction, R=0.2):
+    """Accelerations of a rigid cylinder on a slope: along it, and of its spin (clockwise: < 0)."""
+    normal = friction * np.cos(ANGLE)
+    if friction >= np.tan(ANGLE) / 3:  # it rolls
+        a = 2 / 3 * GRAVITY * np.sin(ANGLE)
+        return a, -a / R
+    return GRAVITY * (np.sin(ANGLE) - normal), -2 * GRAVITY * normal / R
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.5])
+def test_cylinder_rolls_and_slips(friction):
+    """On a plane of 30 degrees that is not along the grid, beside the rigid cylinder."""
+    h, E, rho = 0.05, 4e6, 1000.0
+    domain, body, edge, distance, along, _ = disc_on_a_slope(h, E, rho)
+    for p in (body, edge):
+        basis.use(p, "quadratic")
+    z, law = fm.Unknown(domain, "u"), NeoHookean(E, 0.3)
+    scheme, cells = fm.Bossak(z, dt=0.005), ActiveCells(body, loads=[edge])
+    R = fm.stress_power(elastic(z, body, law), z.test.u, body) + scheme.inertia(body)
+    R += fm.wall(z, edge, law, distance, friction=friction, factor=10.0)
+    g = fem.Constant(domain, (0.0, 0.0))
+    R -= ufl.inner(fm.density(body) * g, z.test.u) * body.dx
+
+    def data(start, end):
+        g.value[1] = -GRAVITY * min(end / 0.1, 1.0)
+
+    sim = ImplicitMPM(
+        R, z, scheme, body, carried=[edge], taylor=True, data=data,
+        newton={"tying": Tying(z.space, body, cells)},
+    )  # fmt: skip
+    found = accelerations(sim, body, along, until=0.5, after=0.15)
+    assert found == pytest.approx(of_rigid_cylinder(friction), rel=0.03)
 
 
 def test_bad_input():
@@ -160,8 +275,7 @@ def test_bad_input():
     with pytest.raises(ValueError, match="a distance is a scalar"):
         fm.wall(z, edge, law, lambda x: x)
     with pytest.raises(ValueError, match="without normals"):
-        fm.nitsche_dirichlet(z, edge, law)
-    fm.set_normals(edge, (0.0, -1.0))
+        fm.nitsche_dirichlet(z, points.at(domain, (0.5, 0.5)), law)
     with pytest.raises(ValueError, match="needs the parts u, p"):
         fm.nitsche_dirichlet(fm.Unknown(domain, "u"), edge, law)
     with pytest.raises(ValueError, match="factor of the penalty must be positive"):

@@ -250,9 +250,10 @@ class Tying:
         """``(n_nodes,)`` whether functions of a node are not zero at all points, however small."""
         space = self._vertices
         seen = np.zeros(len(self.space.mesh.geometry.x), dtype=np.bool_)
-        for body in self.bodies:
-            volume = p2g(body, body.weight, space).array
-            seen[_compat.geometry_dofmap(space.mesh)] |= (volume != 0)[space.dofmap.list]
+        # boundary points, too: where they are off the body, as on walls that they do not touch
+        for points in self.cells.points:
+            weight = p2g(points, points.weight, space).array
+            seen[_compat.geometry_dofmap(space.mesh)] |= (weight != 0)[space.dofmap.list]
         return seen
 
     def _gather(self, rim: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:

@@ -45,9 +45,10 @@ def set_normals(
     points: MaterialPoints,
     normals: npt.ArrayLike | OfPosition,
 ) -> None:
-    """Give boundary points the field "normal", which ``follower_pressure`` needs.
+    """Set the field "normal" of boundary points, which ``follower_pressure`` needs (collective).
 
-    It is the outer unit normal times the ratio of present to initial area [-] (collective).
+    It is the outer unit normal times the ratio of present to initial area [-]. The points of
+    ``points.on_facets`` and ``points.on_curve`` have normals from the beginning.
 
     Args:
         points: boundary points at the beginning, when that ratio is 1.
@@ -55,8 +56,8 @@ def set_normals(
             as in dolfinx, of positions ``(3, n)`` [m] to normals ``(d, n)``.
 
     Raises:
-        ValueError: for other shapes, lengths other than 1, or points that have normals already;
-            also what the function raises on any rank.
+        ValueError: for other shapes or lengths other than 1; also what the function raises on any
+            rank.
     """
     shape = (len(points), points.mesh.geometry.dim)
     error: Exception | None = None
@@ -78,7 +79,9 @@ def set_normals(
                 f" at {points.x[bad[0]]}: divide them by their lengths"
             )
     raise_together(points.mesh.comm, error)
-    points.add_field("normal", shape[1:], given)
+    if "normal" not in points:
+        points.add_field("normal", shape[1:])
+    points["normal"][:] = given
 
 
 def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.Form:
@@ -88,8 +91,9 @@ def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.
     tangent is not symmetric. Time loops renew the normals at the end of a step.
 
     Args:
-        z: unknown with the increment of displacement u [m].
-        points: boundary points with initial areas [m^(d-1)] and the normals of ``set_normals``.
+        z: unknown with the increment of displacement u [m]; of explicit steps, the velocity v.
+        points: boundary points with initial areas [m^(d-1)] and the field "normal"; see
+            ``set_normals``.
         pressure: force per present area [Pa], a number or UFL scalar.
 
     Returns:
@@ -98,12 +102,12 @@ def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.
     Raises:
         ValueError: for no points at all, points without normals, or a pressure with components.
     """
-    z.require("u", of="a pressure that follows")
+    u, w = motion_of(z, "a pressure that follows")
     require_points(points, "a load")
     pressure = ufl.as_ufl(pressure)
     if pressure.ufl_shape != ():
         raise ValueError(f"a pressure is a scalar, but has the shape {pressure.ufl_shape}")
-    return pressure * ufl.inner(_moved_area(z, points), z.test.u) * points.dx
+    return pressure * ufl.inner(_moved_area(u, points), w) * points.dx
 
 
 def penalty_dirichlet(
@@ -121,7 +125,7 @@ def penalty_dirichlet(
     way by t h / (factor E): the error is of first order in h.
 
     Args:
-        z: unknown with the increment of displacement u [m].
+        z: unknown with the increment of displacement u [m]; of explicit steps, the velocity v.
         points: boundary points with initial areas [m^(d-1)]; their field "u" [m] is u_n, and is
             added as zero if there is none.
         material: law of the body with E, or a modulus E [Pa].
@@ -138,10 +142,10 @@ def penalty_dirichlet(
         ValueError: for no points at all, a modulus or factor that is not positive and finite, or a
             displacement of another shape.
     """
-    z.require("u", of="a Dirichlet condition")
+    u, w = motion_of(z, "a Dirichlet condition")
     require_points(points, "a Dirichlet condition")
     stiffness = factor * modulus_of(material, factor) / element_size(points)
-    return stiffness * ufl.inner(_gap(z, points, value), z.test.u) * points.dx
+    return stiffness * ufl.inner(_gap(u, points, value), w) * points.dx
 
 
 def nitsche_dirichlet(
@@ -163,7 +167,7 @@ def nitsche_dirichlet(
 
     Args:
         z: unknown with the increment of displacement u [m] and the pressure p [Pa].
-        points: boundary points with initial areas [m^(d-1)] and the outer normals of
+        points: boundary points with initial areas [m^(d-1)] and the field "normal", see
             ``set_normals``; "u" [m] is u_n, "F" the deformation gradient, and both are added where
             they are missing. Time loops renew them.
         law: of the body.
@@ -182,7 +186,7 @@ def nitsche_dirichlet(
     z.require("u", "p", of="Nitsche's method")
     require_points(points, "a Dirichlet condition")
     modulus_of(law, factor)
-    area = _moved_area(z, points)
+    area = _moved_area(z.u, points)
     if "F" not in points:
         points.add_field("F", (3, 3), np.eye(3))
         points.field("F").renew(lambda k: k.F)
@@ -190,7 +194,7 @@ def nitsche_dirichlet(
     sigma = law.deviatoric_stress(Kinematics(z.u, points).F)
     in_plane = ufl.as_tensor([[sigma[i, j] for j in range(dim)] for i in range(dim)])
     traction = ufl.dot(in_plane, area) + z.p * area
-    gap, w = _gap(z, points, value), z.test.u
+    gap, w = _gap(z.u, points, value), z.test.u
     if slip:
         normal = area / ufl.sqrt(ufl.inner(area, area))
         traction, gap, w = (ufl.inner(v, normal) for v in (traction, gap, w))
@@ -214,21 +218,34 @@ def modulus_of(material: Any, factor: float) -> float:
     return float(modulus)
 
 
-def _gap(z: Unknown, points: MaterialPoints, value: Any) -> Any:
-    """Displacement at the end of the step less a prescribed one [m]."""
+def motion_of(z: Unknown, what: str) -> tuple[Any, Any]:
+    """Displacement in the step until forces are taken [m], zero in explicit ones; test function.
+
+    Args:
+        z: unknown with a displacement u, or of explicit steps with a velocity v.
+        what: needs one of them.
+    """
+    if "v" in z and z.moving is None:
+        return ufl.zero(z.mesh.geometry.dim), z.test.v
+    z.require("u", of=what)
+    return z.u, z.test.u
+
+
+def _gap(u: Any, points: MaterialPoints, value: Any) -> Any:
+    """Displacement after a motion u less a prescribed one [m]."""
     if "u" not in points:
         points.add_field("u", (points.mesh.geometry.dim,))
-    gap = points.field("u") + z.u
+    gap = points.field("u") + u
     return gap if value is None else gap - _vector(value, points, "a displacement")
 
 
-def _moved_area(z: Unknown, points: MaterialPoints) -> Any:
-    """Outer normal after the step times the ratio of areas, by Nanson's formula [-]."""
+def _moved_area(u: Any, points: MaterialPoints) -> Any:
+    """Outer normal after a motion u times the ratio of areas, by Nanson's formula [-]."""
     if "normal" not in points:
         raise ValueError("boundary points without normals: call set_normals(points, normals) first")
     normal = points.field("normal")
     normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
-    return ufl.dot(Kinematics(z.u, points).cofactor(), normal)
+    return ufl.dot(Kinematics(u, points).cofactor(), normal)
 
 
 def require_points(points: MaterialPoints, what: str) -> None:

@@ -37,6 +37,7 @@ class Kinematics:
 
     Attributes:
         points: the material points.
+        u: displacement increment of the step [m].
         f: gradient of the increment's motion, I + grad(u), d x d.
         j: det f, ratio of the volumes V_{n+1} / V_n.
         F: deformation gradient f F_n, 3x3.
@@ -47,7 +48,7 @@ class Kinematics:
     def __init__(self, u: Any, points: MaterialPoints) -> None:
         """Write down f, j, F and J."""
         dim = points.mesh.geometry.dim
-        self.points = points
+        self.points, self.u = points, u
         self.f = ufl.Identity(dim) + ufl.grad(u)
         self.j = ufl.det(self.f)
         F_n = gradient_before(points)

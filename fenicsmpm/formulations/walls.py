@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from fenicsmpm.formulations.boundary import modulus_of, require_points
+from fenicsmpm.formulations.boundary import modulus_of, motion_of, require_points
 from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
@@ -34,11 +34,14 @@ def wall(
     k |s| is at most ``friction`` times p_n (P. Wriggers, Computational Contact Mechanics, 2006,
     section 5.2). Points that stick give way by at most ``friction`` p_n / k.
 
+    In explicit steps forces are those at the beginning of a step. Waves between a point and the
+    wall limit it to some h / (c sqrt(factor)), with the speed c of waves in the body.
+
     Args:
-        z: unknown with the increment of displacement u [m].
+        z: unknown with the increment of displacement u [m]; of explicit steps, the velocity v.
         points: boundary points with initial areas [m^(d-1)]; with friction they get a field "slip"
             [m], the elastic part s of their way along the wall. Time loops renew it, for schemes
-            whose equations hold at the end of a step.
+            whose equations hold at the end or at the beginning of a step.
         material: law of the body with E, or a modulus E [Pa].
         distance: from the position of a point, a UFL vector [m], to its distance from the wall, a
             UFL scalar [m], positive outside. A ``fem.Constant`` in it moves the wall.
@@ -54,39 +57,45 @@ def wall(
             coefficient of friction that is negative, friction at a two-sided wall, whose pressure
             has no sign, or a distance that is no scalar.
     """
-    z.require("u", of="a wall")
+    u, w = motion_of(z, "a wall")
     require_points(points, "a wall")
     stiffness = factor * modulus_of(material, factor) / element_size(points)
     if not 0 <= friction < np.inf:
         raise ValueError(f"a coefficient of friction is finite and not negative: {friction}")
     if friction > 0 and two_sided:
         raise ValueError("friction needs a pressure: a wall that also pulls has none")
-    place = ufl.variable(ufl.SpatialCoordinate(points.mesh) + z.u)
+    depth, normal = _depth(points, u, distance, two_sided)
+    give_way = depth * normal
+    if friction > 0:
+        if "slip" not in points:
+            points.add_field("slip", (points.mesh.geometry.dim,))
+
+        def slip(u: Any) -> Any:
+            return _slip(points, u, friction, *_depth(points, u, distance, two_sided))
+
+        points.field("slip").renew(lambda k: slip(k.u))
+        give_way -= slip(u)
+    return -stiffness * ufl.inner(give_way, w) * points.dx
+
+
+def _depth(
+    points: MaterialPoints, u: Any, distance: Callable[[Any], Any], two_sided: bool
+) -> tuple[Any, Any]:
+    """How deep points are in the wall after a motion u [m], and its normal there."""
+    place = ufl.variable(ufl.SpatialCoordinate(points.mesh) + u)
     d = ufl.as_ufl(distance(place))
     if d.ufl_shape != ():
         raise ValueError(f"a distance is a scalar, but has the shape {d.ufl_shape}")
-    normal = ufl.diff(d, place)
-    pressure = -stiffness * d
-    if not two_sided:
-        pressure = ufl.conditional(d < 0, pressure, 0.0)
-    traction = pressure * normal
-    if friction > 0:
-        traction -= stiffness * _slip(z, points, normal, friction * pressure / stiffness)
-    return -ufl.inner(traction, z.test.u) * points.dx
+    return -d if two_sided else ufl.conditional(d < 0, -d, 0.0), ufl.diff(d, place)
 
 
-def _slip(z: Unknown, points: MaterialPoints, normal: Any, limit: Any) -> Any:
-    """Elastic part of the way along the wall at the end of the step, at most as long as a limit."""
-    dim = points.mesh.geometry.dim
-    if "slip" not in points:
-        points.add_field("slip", (dim,))
-    field = points.field("slip")
-    trial = field + z.u
+def _slip(points: MaterialPoints, u: Any, friction: float, depth: Any, normal: Any) -> Any:
+    """Elastic part of the way along the wall after a motion u, at most as long as friction lets."""
+    trial = points.field("slip") + u
     trial -= ufl.dot(trial, normal) * normal
     length = ufl.sqrt(ufl.inner(trial, trial) + (_SMALL * element_size(points)) ** 2)
-    slip = ufl.conditional(length < limit, 1.0, limit / length) * trial
-    field.renew(slip)
-    return slip
+    limit = friction * depth
+    return ufl.conditional(length < limit, 1.0, limit / length) * trial
 
 
 _SMALL = 1e-12  # of a cell: a length that is never zero has a derivative

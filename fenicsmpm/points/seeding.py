@@ -239,6 +239,9 @@ def on_facets(
 ) -> MaterialPoints:
     """Points of a quadrature rule on facets, weighted by area (3D) or length (2D).
 
+    Their field "normal", of the shape (d,), is the unit normal that points out of the cell of the
+    facet; of a facet between two cells, out of the one that dolfinx lists first.
+
     Args:
         mesh: Mesh of the facets; see `from_mesh` to bring the points to another one.
         facets: Local facets (those owned by other ranks are left to them), or a predicate as
@@ -289,7 +292,14 @@ def on_facets(
     number = geometry.key[cell] * of_cell.shape[1] + side
     number = number * len(weights) + np.tile(np.arange(len(weights)), len(chosen))
     x = geometry.push_forward(cell, xi)
-    body = MaterialPoints(mesh, x, weight, cells=cell, tag=tag, number=number)
+    normal = np.einsum(
+        "pkj,pk->pj",
+        geometry.inverse_jacobian(cell, xi),
+        basix.cell.facet_outward_normals(geometry.cell)[side],
+    )
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    fields = {"normal": normal}
+    body = MaterialPoints(mesh, x, weight, cells=cell, tag=tag, number=number, fields=fields)
     body.sort()
     return body
 
@@ -317,6 +327,9 @@ def on_curve(
 ) -> MaterialPoints:
     """Midpoints of equal segments of the straight line from a to b, weighted by length.
 
+    In the plane they have the field "normal", of the shape (2,), the unit normal to the right of
+    the way from a to b: it points out of a body whose boundary is run through counter-clockwise.
+
     Args:
         mesh: Background mesh.
         a: Start in m, shape (d,).
@@ -338,7 +351,11 @@ def on_curve(
     n = max(1, int(np.ceil(length / spacing * (1.0 - 1e-12))))
     here = n if mesh.comm.rank == 0 else 0  # they go from there to the owners of their cells
     x = start + (np.arange(here)[:, None] + 0.5) / n * (end - start)
-    return MaterialPoints(mesh, x, length / n, tag=tag)
+    line = MaterialPoints(mesh, x, length / n, tag=tag)
+    if dim == 2:
+        t = (end - start) / length
+        line.add_field("normal", (2,), (t[1], -t[0]))
+    return line
 
 
 def _centres(geometry: CellGeometry, k: int) -> npt.NDArray[np.float64]:
