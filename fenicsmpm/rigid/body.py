@@ -133,6 +133,7 @@ class RigidBody:
         )  # mass [kg] and polar moment [kg m^2] of points within reach
         self._pushed: Array = np.zeros(TOTALS)
         self._held: Array = np.zeros(TOTALS)
+        self.settle()
 
     def _centre(self, centre: npt.ArrayLike | None) -> npt.ArrayLike:
         if self.inertia is not None:
@@ -237,7 +238,48 @@ class RigidBody:
             for what in self._loads:
                 self._load(what, time)
         self._pushed, self._held = np.zeros(TOTALS), np.zeros(TOTALS)
-        self._before = self.rotation, self.position.copy()
+        self.settle()
+
+    def settle(self) -> None:
+        """What comes now begins where the body is."""
+        self._before = self._q, self.position
+
+    def carry(self, start: float, end: float) -> None:
+        """Be where a prescribed motion leads, by its velocities in the middle of the time.
+
+        For implicit steps, which may be tried again: it begins where ``settle`` was called last.
+
+        Args:
+            start: time there [s].
+            end: time [s].
+
+        Raises:
+            ValueError: for a free body, or if a velocity is not finite.
+        """
+        if self.is_free:
+            raise ValueError(
+                f"the rigid body {self.name} is free: implicit steps take fixed bodies and "
+                "prescribed motions, explicit ones move free bodies"
+            )
+        self._set_motion((start + end) / 2)
+        self._q, self.position = self._before
+        self._drift(end - start)
+
+    def way(self, x: Array) -> Array:
+        """Way of what is at positions in the body, since ``settle`` was called last.
+
+        Args:
+            x: positions ``(n, d)`` [m] at that time, inside of the body or not.
+        """
+        q, centre = self._before
+        R = matrix(q)[: self.dim, : self.dim]
+        return np.asarray(self.position - x + (x - centre) @ (self.rotation @ R.T).T)
+
+    def _drift(self, dt: float) -> None:
+        """Move by the velocities as they are."""
+        self.position = self.position + dt * self._v
+        self._q = product(about(dt * self._w), self._q)
+        self._q = self._q / np.linalg.norm(self._q)
 
     def contact(self) -> Contact:
         """What the contact law at points needs, for where the body is now."""
@@ -246,8 +288,10 @@ class RigidBody:
             mass, polar = self._touched
             share = 1 / (1 + mass / self.inertia.mass + polar / self.inertia.moments[0])
         W = skew(self._spin())[: self.dim, : self.dim]
+        q, centre = self._before
+        before = np.ascontiguousarray(matrix(q)[: self.dim, : self.dim]), centre
         return Contact(
-            self._field, self.rotation, self.position, self._origin, *self._before, self._v,
+            self._field, self.rotation, self.position, self._origin, *before, self._v,
             np.ascontiguousarray(W), self.reach, self.stiffness, self.friction, share,
         )  # fmt: skip
 
@@ -261,9 +305,7 @@ class RigidBody:
         """
         self._pushed = pushed
         if self.inertia is None:
-            self.position = self.position + dt * self._v
-            self._q = product(about(dt * self._w), self._q)
-            self._q /= np.linalg.norm(self._q)
+            self._drift(dt)
             return
         mass = self.inertia.mass
         force = mass * self._load("gravity", time) + self._load("force", time)
@@ -301,6 +343,7 @@ class RigidBody:
         self.position, self._q = array("position", self.dim), array("rotation", 4)
         self._v, self._L = array("velocity", self.dim), array("angular momentum", 3)
         self._touched = array("touched", 2)
+        self.settle()
 
     # --- values that were given ----------------------------------------------------------------
 

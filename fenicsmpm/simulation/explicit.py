@@ -37,7 +37,7 @@ from fenicsmpm.simulation.observer import Observers, Watcher
 from fenicsmpm.simulation.parameters import of_points
 from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.residual import Residual
-from fenicsmpm.simulation.slip import slip_on
+from fenicsmpm.simulation.rigid_state import memory_of, remember, slip_on
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 from fenicsmpm.solvers.checks import check_bcs, require_points
@@ -330,18 +330,12 @@ class ExplicitMPM:
     @property
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points, for checkpoints."""
-        rigid = {
-            f"rigid body {i}: {name}": value
-            for i, body in enumerate(self.rigid)
-            for name, value in body.state.items()
-        }
-        return {**self._way.memory, **rigid}
+        return {**self._way.memory, **memory_of(self.rigid)}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         self._way.memory = dict(values)
-        for i, body in enumerate(self.rigid):
-            body.state = {name: values[f"rigid body {i}: {name}"] for name in body.state}
+        remember(self.rigid, dict(values))
 
     # --- time step -----------------------------------------------------------------------------
 

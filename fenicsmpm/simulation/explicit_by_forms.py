@@ -29,7 +29,7 @@ from fenicsmpm.materials import Law, state_of, stress
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.rigid.body import TOTALS
-from fenicsmpm.simulation.slip import slip_on
+from fenicsmpm.simulation.rigid_state import slip_on
 from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.contact import keep_points_out, push_points

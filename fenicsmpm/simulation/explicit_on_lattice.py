@@ -20,7 +20,7 @@ from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.location import locator
 from fenicsmpm.rigid.body import TOTALS
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
-from fenicsmpm.simulation.slip import slip_on
+from fenicsmpm.simulation.rigid_state import slip_on
 
 if TYPE_CHECKING:
     from fenicsmpm.simulation.explicit import ExplicitMPM
