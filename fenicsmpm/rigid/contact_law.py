@@ -28,11 +28,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fenicsmpm._njit import njit
-from fenicsmpm.basis.blocks import OPTIONS
+from fenicsmpm.basis.blocks import inline
 from fenicsmpm.rigid.distance import distance_at
-
-_njit = njit(**OPTIONS)
 
 # Share of the reach that is kept in any case
 _CLOSEST = 0.01
@@ -82,7 +79,7 @@ class Contact(NamedTuple):
 # vectors.
 
 
-@_njit
+@inline
 def gap(x, first, i, body, y, normal):
     """Distance of a point from a body and the direction away from it.
 
@@ -95,7 +92,7 @@ def gap(x, first, i, body, y, normal):
     return distance_at(body.field, y, normal)
 
 
-@_njit
+@inline
 def turn(body, vector, work):
     """Turn a vector of the body's frame into space."""
     for k in range(len(vector)):
@@ -106,7 +103,7 @@ def turn(body, vector, work):
             vector[k] += body.rotation[k, j] * work[j]
 
 
-@_njit
+@inline
 def relative_velocity(x, v, first, i, body, result):
     """Velocity of a point as seen from the body."""
     for k in range(len(result)):
@@ -115,7 +112,7 @@ def relative_velocity(x, v, first, i, body, result):
             result[k] -= body.spin[k, j] * (x[first + j, i] - body.centre[j])
 
 
-@_njit
+@inline
 def dot(a, b):
     """Scalar product."""
     result = 0.0
@@ -124,19 +121,19 @@ def dot(a, b):
     return result
 
 
-@_njit
+@inline
 def add_to_total(x, first, i, body, force, total):
     """Add a force on a point and its moment about the body's centre to totals ``(8,)``."""
-    r, f = np.zeros(3), np.zeros(3)
-    for k in range(len(force)):
-        r[k], f[k] = x[first + k, i] - body.centre[k], force[k]
-        total[k] += f[k]
-    total[3] += r[1] * f[2] - r[2] * f[1]
-    total[4] += r[2] * f[0] - r[0] * f[2]
-    total[5] += r[0] * f[1] - r[1] * f[0]
+    d = len(force)
+    for k in range(d):
+        total[k] += force[k]
+        for j in range(d):
+            if j != k:
+                sign = 1.0 if (j - k) % 3 == 1 else -1.0
+                total[6 - j - k] += sign * (x[first + k, i] - body.centre[k]) * force[j]
 
 
-@_njit
+@inline
 def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
     """Set the force ``(d,)`` of a body on a point of mass m, and add it to totals.
 
@@ -178,7 +175,7 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
     return distance
 
 
-@_njit
+@inline
 def keep_out(x, x_next, v, slip, first, i, m, body, dt, work, force, total):
     """End the step of a point: keep it out of a body at its new place, and renew its spring.
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm._njit import njit
-from fenicsmpm.basis.blocks import OPTIONS
+from fenicsmpm.basis.blocks import OPTIONS, inline
 
 Array = npt.NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def _values(shape: Any, axes: list[Array]) -> Array:
     return values
 
 
-@njit(**OPTIONS)
+@inline
 def distance_at(field, y, normal):
     """Distance of a point from a shape and the direction away from it.
 
@@ -152,7 +152,7 @@ def distance_at(field, y, normal):
     return nearest
 
 
-@njit(**OPTIONS)
+@inline
 def _interpolate(field, y, normal):
     d = len(y)
     first = 0
