@@ -114,6 +114,30 @@ def test_a_step(dim, functions):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("averages", [None, formulations.FBar(0.3, 100.0)])
+@pytest.mark.parametrize("law", [RUBBER, NewtonianFluid(100.0, 0.5)], ids=["solid", "fluid"])
+def test_stretches_out_of_the_plane(law, averages):
+    """They stay what they are, but those of fluids, of which only J matters."""
+    found = []
+    for fused in (True, False):
+        body = body_on_walls(2, "quadratic", law)
+        F = body["F"].copy()
+        F[:, 2, 2] = 1 + 0.02 * np.cos(3 * body.x[:, 0])
+        J = np.linalg.det(F)
+        body.assign({"F": F, "J": J, "weight": body["V_0"] * J})
+        if "J_bar" in body:
+            body["J_bar"] *= F[:, 2, 2]
+        before = values(body, ("F",))["F"][:, 2, 2]
+        sim = simulation(body, law, averages, fused)
+        for _ in sim.run(0.005, 0.005):
+            pass
+        found.append(values(body, ("x", "v", "F", "J", "sigma", "weight")))
+        after = found[-1]["F"][:, 2, 2]
+        assert np.array_equal(after, np.ones_like(before) if law.is_fluid else before)
+    check(*found, tolerance=1e-10)
+
+
+@pytest.mark.mpi
 def test_many_steps_of_many_laws():
     """Fluids and plasticity; velocities that laws read."""
     for law in (NewtonianFluid(100.0, 0.5), VonMises(100.0, 0.4, sigma_y=1.0)):

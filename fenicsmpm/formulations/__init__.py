@@ -13,8 +13,10 @@ from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
 from fenicsmpm.formulations.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.formulations.ghost_penalty import ghost_mass, ghost_penalty
 from fenicsmpm.formulations.initial_state import set_initial_state
+from fenicsmpm.formulations.initial_stress import initial_stress
 from fenicsmpm.formulations.interior_penalty import hessian_penalty, interior_penalty
 from fenicsmpm.formulations.internal_force import body_force, internal_force
+from fenicsmpm.formulations.k0_state import k0_state
 from fenicsmpm.formulations.kinematics import Kinematics, embed
 from fenicsmpm.formulations.lumped_projection import LumpedProjection
 from fenicsmpm.formulations.midpoint import Midpoint
@@ -71,8 +73,10 @@ __all__ = [
     "ghost_mass",
     "ghost_penalty",
     "hessian_penalty",
+    "initial_stress",
     "interior_penalty",
     "internal_force",
+    "k0_state",
     "mixed",
     "nitsche_dirichlet",
     "osgs",

@@ -50,7 +50,7 @@ class EnergyMomentum(Response):
     they are added here, for its present fields "F" and state.
 
     Args:
-        material: a law at points, with energy and tangent, or an energy per initial volume
+        material: a law at points with an energy, or an energy per initial volume
             ``psi(F)`` [J/m^3] in UFL.
         points: the body, with the fields of ``set_initial_state``.
         z: unknown with the increment of displacement u of the step [m].

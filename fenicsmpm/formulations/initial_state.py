@@ -9,12 +9,12 @@ import numpy.typing as npt
 from fenicsmpm.materials.law import finite
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
-from fenicsmpm.points.of_position import OfPosition, vectors_at
+from fenicsmpm.points.of_position import OfPosition, values_at, vectors_at
 
 
 def set_initial_state(
     points: MaterialPoints,
-    density: npt.ArrayLike,
+    density: npt.ArrayLike | OfPosition,
     velocity: npt.ArrayLike | OfPosition | None = None,
 ) -> None:
     """Give undeformed points the fields of a body in motion, for any time loop (collective).
@@ -25,7 +25,8 @@ def set_initial_state(
 
     Args:
         points: the body, with its volumes as weights.
-        density: [kg/m^d], one number or one for each point of this rank, ``(n,)``.
+        density: [kg/m^d], one number, one for each point of this rank, ``(n,)``, or a function as
+            in dolfinx, from positions ``(3, n)`` [m] to densities ``(n,)``, such as of layers.
         velocity: initial velocity of all points ``(d,)`` [m/s], or a function as in dolfinx, from
             positions ``(3, n)`` [m] to velocities ``(d, n)``; None for a body at rest.
 
@@ -34,7 +35,7 @@ def set_initial_state(
             shape, or velocities of another shape. The points are as before, also where the function
             raises something else on any rank.
     """
-    error, rho = _density(density, len(points))
+    error, rho = _density(density, points)
     raise_together(points.mesh.comm, error)
     motion = _motion(velocity, points)
     dim = points.mesh.geometry.dim
@@ -48,18 +49,28 @@ def set_initial_state(
         points.add_field("grad_v", (dim, dim), motion["grad_v"])
 
 
-def _density(density: npt.ArrayLike, n: int) -> tuple[ValueError | None, npt.NDArray[np.float64]]:
+def _density(
+    density: npt.ArrayLike | OfPosition, points: MaterialPoints
+) -> tuple[Exception | None, npt.NDArray[np.float64]]:
     """Densities, ``(n,)`` or ``()``, and what is wrong with them."""
+    n = len(points)
+    if callable(density):
+        error, density = values_at(density, points.x, ())
+        if error is not None:
+            return error, density
     try:
         rho = finite(density, "densities")
-    except ValueError as error:
-        return error, np.empty(0)
+    except ValueError as wrong:
+        return wrong, np.empty(0)
     if rho.shape not in ((), (n,)):
         return ValueError(f"densities of shape {rho.shape} for {n} points: needs () or ({n},)"), rho
     bad = np.flatnonzero(rho <= 0)
     if not len(bad):
         return None, rho
-    where = "" if rho.shape == () else f" at point {bad[0]} ({len(bad)} of {n} are not)"
+    where = ""
+    if rho.shape:
+        at = np.array2string(points.x[bad[0]], precision=6)
+        where = f" at point {bad[0]} ({len(bad)} of {n} are not), which is at {at}"
     return ValueError(f"the density must be positive: {rho.flat[bad[0]]} kg/m^d{where}"), rho
 
 

@@ -14,7 +14,8 @@ import ufl
 
 from fenicsmpm._njit import njit
 from fenicsmpm.forms import PointExpression
-from fenicsmpm.materials import Law, state_of
+from fenicsmpm.materials import Law, compiled, state_of
+from fenicsmpm.materials.differences import first_piola_kirchhoff, tangent_by_differences
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import ComputedField
 
@@ -26,8 +27,8 @@ class Response:
     """Stress and work of a material as UFL over the points.
 
     Args:
-        material: a law at points, with energy and tangent, or an energy per initial volume
-            ``psi(F)`` [J/m^3] in UFL.
+        material: a law at points, or an energy per initial volume ``psi(F)`` [J/m^3] in UFL. The
+            tangent of a law that has none is found by differences of its stress.
         points: the body; a law's state is in fields that have its names, added if missing.
         F: deformation gradient, UFL expression 3x3. For a law with a state it must be that at the
             end of the step, where the state is found: not one of the middle, nor of
@@ -36,21 +37,20 @@ class Response:
     Attributes:
         F: the deformation gradient.
         P: first Piola-Kirchhoff stress [Pa], 3x3.
-        work: free energy and what was dissipated, per initial volume [J/m^3].
         updates: new fields of the state after a step that ends with F; time loops know them.
 
     Raises:
-        ValueError: for a law without energy or tangent, or one that depends on velocities.
+        ValueError: for a law that depends on velocities.
     """
 
     def __init__(self, material: Law | Energy, points: MaterialPoints, F: Any) -> None:
         """Write down stress and work."""
-        self.F = F
+        self.F, self._material = F, material
         self.updates: Mapping[str, Any] = {}
         if not isinstance(material, Law):
             variable = ufl.variable(F)
-            self.work = material(variable)
-            self.P = ufl.diff(self.work, variable)
+            self._work = material(variable)
+            self.P = ufl.diff(self._work, variable)
             return
         for name, (shape, value) in material.state.items():
             if name not in points:
@@ -64,8 +64,26 @@ class Response:
         P_0, tangent = computed.field("P_0", (3, 3)), computed.field("dPdF", (3, 3, 3, 3))
         i, j, k, m = ufl.indices(4)
         self.P = P_0 + ufl.as_tensor(tangent[i, j, k, m] * change[k, m], (i, j))
-        # d work = P : dF, as plastic work is either stored or dissipated
-        self.work = computed.field("work_0", ()) + ufl.inner(P_0, change)
+        self._work = None
+        if material.energy is not None:
+            # d work = P : dF where plastic work is either stored or dissipated
+            gradient = P_0
+            if material.work_gradient is not None:
+                gradient = computed.field("work_gradient", (3, 3))
+            self._work = computed.field("work_0", ()) + ufl.inner(gradient, change)
+
+    @property
+    def work(self) -> Any:
+        """Free energy and what was dissipated, per initial volume [J/m^3].
+
+        Raises:
+            ValueError: for a law without an energy.
+        """
+        if self._work is None:
+            raise ValueError(
+                f"work and energy-momentum stress need a law with an energy: {self._material!r}"
+            )
+        return self._work
 
     @property
     def S(self) -> Any:
@@ -77,24 +95,29 @@ class _Computed:
     """What a law returns at all points, computed when F, state or parameters have changed."""
 
     def __init__(self, law: Law, points: MaterialPoints, F: Any) -> None:
-        missing = [name for name in ("energy", "tangent") if getattr(law, name) is None]
-        if missing or law.needs_rate:
+        if law.needs_rate:
             raise ValueError(
-                f"a law in forms needs energy and tangent, and no velocities: {law!r} "
-                + (f"has no {' and no '.join(missing)}" if missing else "needs velocities")
+                f"a law in forms needs no velocities: {law!r} needs them. If its function does "
+                "not read L, give needs_rate=False."
             )
         self._law, self._points = law, points
         self._F = PointExpression(F, points)
         self._version: Any = None
         self._values: dict[str, Array] = {}
         self._old = self._state = law.initial_state(0)
+        self._evaluate = _evaluation(
+            law.update, law.tangent or tangent_by_differences(law.update), law.energy or _zero,
+            law.work_gradient or _no_gradient,
+        )  # fmt: skip
         self._has_dissipation = "dissipation" in law.columns
-        self.renewals = {name: self._new_field(name) for name in law.state}
+        self.renewals: dict[str, Callable[[], Array]] = {
+            name: self._new_field(name) for name in law.state
+        }
 
     def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
-        """One of the results as a coefficient: "F_0", "P_0", "dPdF" or "work_0"."""
+        """One of the results as a coefficient, by its name in ``update``."""
         result = ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
-        result.renewals = self.renewals
+        result.renewals, result.source = self.renewals, self._law
         return result
 
     def _new_field(self, name: str) -> Callable[[], Array]:
@@ -120,33 +143,41 @@ class _Computed:
         n = len(points)
         new = old.copy()
         P, tangent, work = np.empty((n, 3, 3)), np.empty((n, 3, 3, 3, 3)), np.empty(n)
-        evaluate = _evaluation(law.update, law.tangent, law.energy)
-        evaluate(law.parameters, F, old, new, P, tangent, work)
+        gradient = np.empty((n, 3, 3))
+        self._evaluate(law.parameters, F, old, new, P, tangent, work, gradient)
         if self._has_dissipation:
             work += law.state_field(new, "dissipation")
         self._old, self._state, self._version = old, new, known
-        self._values = {"F_0": F, "P_0": P, "dPdF": tangent, "work_0": work}
+        self._values = {
+            "F_0": F, "P_0": P, "dPdF": tangent, "work_0": work, "work_gradient": gradient,
+        }  # fmt: skip
+
+
+@compiled
+def _zero(F, parameters, state):  # type: ignore[no-untyped-def]
+    """Energy of a law that has none; nobody asks for it."""
+    return 0.0
+
+
+@compiled
+def _no_gradient(F, parameters, state, G):  # type: ignore[no-untyped-def]
+    """Work gradient of a law that has none."""
 
 
 @functools.cache
-def _evaluation(update: Any, tangent: Any, energy: Any) -> Any:
+def _evaluation(update: Any, tangent: Any, energy: Any, work_gradient: Any) -> Any:
     """Compile the loop over points for the functions of a law."""
 
     @njit(parallel=True)
-    def evaluate(parameters: Any, F: Any, old: Any, new: Any, P: Any, dPdF: Any, work: Any) -> None:
+    def evaluate(
+        parameters: Any, F: Any, old: Any, new: Any, P: Any, dPdF: Any, work: Any, gradient: Any
+    ) -> None:
         for p in numba.prange(len(F)):
             sigma = np.empty((3, 3))
             update(F[p], np.zeros((3, 3)), parameters, new[p], sigma)
-            f = F[p]
-            # P = sigma cof F
-            for j in range(3):
-                a, b = (j + 1) % 3, (j + 2) % 3
-                for k in range(3):
-                    c, d = (k + 1) % 3, (k + 2) % 3
-                    cofactor = f[a, c] * f[b, d] - f[a, d] * f[b, c]
-                    for i in range(3):
-                        P[p, i, k] = (P[p, i, k] if j else 0.0) + sigma[i, j] * cofactor
-            tangent(f, parameters, old[p], dPdF[p])
-            work[p] = energy(f, parameters, new[p])
+            first_piola_kirchhoff(F[p], sigma, P[p])
+            tangent(F[p], parameters, old[p], dPdF[p])
+            work_gradient(F[p], parameters, old[p], gradient[p])
+            work[p] = energy(F[p], parameters, new[p])
 
     return evaluate

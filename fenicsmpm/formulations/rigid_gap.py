@@ -17,16 +17,6 @@ from fenicsmpm.rigid import RigidBody
 Array = npt.NDArray[np.float64]
 
 
-class GapField(ComputedField):
-    """What a rigid body says of points.
-
-    Attributes:
-        rigid: the body, which the time loop moves.
-    """
-
-    rigid: RigidBody
-
-
 class RigidGap:
     """Distance of points from a rigid body after a motion, and what the body does under them.
 
@@ -61,9 +51,9 @@ class RigidGap:
         """Distance of a place (d,) [m], UFL, near where it was found."""
         return self._distance + ufl.dot(self._normal, place - self._found_at)
 
-    def _field(self, name: str, shape: tuple[int, ...]) -> GapField:
-        field = GapField(self._points, name, shape, self._update, lambda: self._values[name])
-        field.rigid = self._rigid
+    def _field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
+        field = ComputedField(self._points, name, shape, self._update, lambda: self._values[name])
+        field.source = self._rigid  # by which time loops find it
         return field
 
     def _update(self) -> None:

@@ -47,13 +47,15 @@ def stress(
 def bulk_to_shear(law: Law) -> float:
     """Bulk modulus by shear modulus, by how a law answers to small strains without deformation [-].
 
-    It is infinite for fluids, and for what flows at once or does not resist to compression.
+    It is infinite for fluids, and for what flows at once or does not resist to compression. Shear
+    comes with compression, without which sand has none.
     """
     h = 1e-5
-    F = np.array([(1 - h) * np.eye(3), np.eye(3)])
-    F[1, 0, 1] = 2 * h
-    compressed, sheared = stress(law, F)
-    kappa, mu = -np.trace(compressed) / (9 * h), sheared[0, 1] / (2 * h)
+    F = np.array([np.eye(3), (1 - h) * np.eye(3), (1 - h) * np.eye(3)])
+    F[2, 0, 1] = 0.1 * h  # less than what friction holds
+    undeformed, compressed, sheared = stress(law, F)
+    kappa = -np.trace(compressed - undeformed) / (9 * h)
+    mu = sheared[0, 1] / (0.1 * h)
     return float(kappa / mu) if 0 < kappa < np.inf and 0 < mu < np.inf else np.inf
 
 

@@ -3,23 +3,20 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from fenicsmpm.lanes import between
 from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
+from fenicsmpm.materials.principal_stress import set_tangent as set_principal_tangent
 from fenicsmpm.materials.tensors import (
     SMALL,
     deviator,
     eigen,
-    inverse,
     log_of_one_plus,
     log_of_one_plus_small,
     logarithm,
     metric_change,
     norm_squared,
-    rows,
     small_logarithm,
     volume_change,
 )
@@ -80,11 +77,7 @@ def stored_energy(mu, kappa, log_j, e):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_tangent(F, log_j, e, n, mu, kappa, c, dPdF):  # type: ignore[no-untyped-def]
-    """Set dPdF where principal Kirchhoff stresses depend on principal logarithmic strains.
-
-    With d tau_a / d eps_b = kappa + 2 mu (delta_ab - 1/3) + c e_a e_b. In principal axes and with
-    g = dF F^-1, d tau_aa = sum_b (d tau_a / d eps_b) g_bb; off the diagonal, d tau_ab is
-    (tau_a - tau_b) / (b_a - b_b) times that of b = F F^T; and dP = (d tau - tau g^T) F^-T.
+    """Set dPdF where d tau_a / d eps_b = kappa + 2 mu (delta_ab - 1/3) + c e_a e_b.
 
     Args:
         F: deformation gradient.
@@ -96,44 +89,17 @@ def set_tangent(F, log_j, e, n, mu, kappa, c, dPdF):  # type: ignore[no-untyped-
         c: see above [Pa].
         dPdF: ``(3, 3, 3, 3)``, to be set.
     """
-    work = np.empty((5, 3, 3))
-    # directions by columns, the same pulled back, and the factors of g_cc, g_ac and g_ca
-    N, W, direct, along, across = work[0], work[1], work[2], work[3], work[4]
-    inverse_F = inverse(rows(F))
-    for a in range(3):
-        for i in range(3):
-            N[i, a] = n[3 * i + a]
-        for i in range(3):
-            W[i, a] = (
-                inverse_F[3 * i] * N[0, a]
-                + inverse_F[3 * i + 1] * N[1, a]
-                + inverse_F[3 * i + 2] * N[2, a]
-            )
-    for a in range(3):
-        tau = kappa * log_j + 2 * mu * e[a]
-        b_a = math.exp(2 * e[a] + 2 * log_j / 3)
-        for j in range(3):
-            b_j = math.exp(2 * e[j] + 2 * log_j / 3)
-            y = 2 * (e[a] - e[j])  # ln(b_a / b_j)
-            slope = mu * (y / math.expm1(y) if y != 0 else 1.0) / b_j
-            direct[a, j] = kappa - 2 * mu / 3 + c * e[a] * e[j]
-            along[a, j] = slope * b_j
-            across[a, j] = slope * b_a - tau
-        direct[a, a] += 2 * mu - tau
-        along[a, a] = across[a, a] = 0.0
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                for m in range(3):
-                    total = 0.0
-                    for a in range(3):
-                        for b in range(3):
-                            total += N[i, a] * (
-                                direct[a, b] * W[j, a] * N[k, b] * W[m, b]
-                                + along[a, b] * W[j, b] * N[k, a] * W[m, b]
-                                + across[a, b] * W[j, b] * N[k, b] * W[m, a]
-                            )
-                    dPdF[i, j, k, m] = total
+    p, third = kappa * log_j, log_j / 3
+    x, y, z = e
+    tau = p + 2 * mu * x, p + 2 * mu * y, p + 2 * mu * z
+    strain = x + third, y + third, z + third
+    same, other = kappa + 4 / 3 * mu, kappa - 2 / 3 * mu
+    D = (
+        same + c * x * x, other + c * x * y, other + c * x * z,
+        other + c * y * x, same + c * y * y, other + c * y * z,
+        other + c * z * x, other + c * z * y, same + c * z * z,
+    )  # fmt: skip
+    set_principal_tangent(F, strain, n, tau, D, (2 * mu, 2 * mu, 2 * mu), dPdF)
 
 
 @compiled

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 
 from fenicsmpm.materials.law import (
@@ -165,6 +166,48 @@ class NeoHookean:
     def subscale_modulus(self, points: Any, h_squared: Any) -> Any:
         """Shear modulus [Pa]."""
         return self.mu
+
+    def stretch_of(
+        self, sigma: npt.ArrayLike
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """As ``materials.stretch_of``, incompressible or not.
+
+        The pressure tr(sigma) / 3 determines J; then F F^T = J^(5/3) / mu dev(sigma) + beta I with
+        the beta of that J.
+
+        Args:
+            sigma: Cauchy stresses ``(n, 3, 3)`` [Pa], symmetric.
+
+        Returns:
+            Symmetric deformation gradients ``(n, 3, 3)``, and whether there is one, ``(n,)``.
+        """
+        values, axes = np.linalg.eigh(np.asarray(sigma, dtype=np.float64))
+        p = values.mean(axis=1)
+        J = self._volume_of(self.inverse_kappa * p)
+        reached = np.isfinite(J) & (J > 0)
+        J = np.where(reached, J, 1.0)
+        s = (values - p[:, None]) * (J ** (5 / 3) / self.mu)[:, None]
+        # of the three roots of det = J^2 the largest, from where all are to the left: convex
+        beta = J ** (2 / 3) + np.abs(s).max(axis=1, initial=0.0)
+        for _ in range(100):
+            b = s + beta[:, None]
+            product = b.prod(axis=1)
+            slope = b[:, 0] * b[:, 1] + b[:, 0] * b[:, 2] + b[:, 1] * b[:, 2]
+            change = (J**2 - product) / slope
+            beta += change
+            if np.all(np.abs(change) <= 1e-15 * beta):
+                break
+        stretches = np.sqrt(s + beta[:, None])
+        return np.einsum("nij,nj,nkj->nik", axes, stretches, axes), reached
+
+    def _volume_of(self, g: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """J with a volumetric strain g(J); not positive or finite where there is none."""
+        with np.errstate(divide="ignore"):
+            if self.volumetric == "quadratic":
+                return 1 + g
+            if self.volumetric == "miehe":
+                return 1 / (1 - g)
+            return g + np.sqrt(g**2 + 1)
 
     def pointwise(self) -> Law:
         """The law at a point: stress from the deformation alone, for explicit steps.

@@ -28,7 +28,7 @@ class Law:
 
     Args:
         update: ``update(F, L, parameters, state, sigma)``: from the deformation gradient F
-            ``(3, 3)`` (with F-bar, the modified one; F33 = 1 in plane strain), the velocity
+            ``(3, 3)`` (with F-bar, the modified one; F33 stays in plane strain), the velocity
             gradient L ``(3, 3)`` [1/s] and the state before the step, ``(n_state,)``, it sets the
             Cauchy stress sigma ``(3, 3)`` [Pa] and the state after the step.
         parameters: ``(n_parameters,)``, what the functions get as theirs.
@@ -41,6 +41,9 @@ class Law:
         tangent: ``tangent(F, parameters, state, dPdF)``: sets the derivative
             ``dPdF[i, J, k, L] = dP[i, J] / dF[k, L]`` [Pa] of the first Piola-Kirchhoff stress
             after the step; state is that before the step and stays as it is.
+        work_gradient: ``work_gradient(F, parameters, state, G)``: sets the derivative
+            ``G[i, J]`` [Pa] of energy and dissipation after the step with respect to F, where it
+            is not P, as in plastic flow that is not associated; state as for ``tangent``.
         update_eight: ``update_eight(F, L, parameters, state, sigma) -> bool``: the same for eight
             points at once, if it is easy, such as small strains: F, L and sigma in ``lanes.Row``,
             ``state[k]`` the k-th number of each. If it returns False, the state is as it was, and
@@ -61,13 +64,14 @@ class Law:
     state: Mapping[str, tuple[tuple[int, ...], npt.ArrayLike]] = field(default_factory=dict)
     energy: Callable[..., float] | None = None
     tangent: Callable[..., None] | None = None
+    work_gradient: Callable[..., None] | None = None
     update_eight: Callable[..., bool] | None = None
     needs_rate: bool = True
     is_fluid: bool = False
 
     def __post_init__(self) -> None:
         """Check, and lay out the state."""
-        for name in ("update", "energy", "tangent", "update_eight"):
+        for name in ("update", "energy", "tangent", "work_gradient", "update_eight"):
             function = getattr(self, name)
             if not (isinstance(function, Dispatcher) or (function is None and name != "update")):
                 raise TypeError(

@@ -26,6 +26,7 @@ from fenicsmpm.materials.law import (
     p_wave_modulus,
     positive,
 )
+from fenicsmpm.materials.principal_stress import elastic_deformation
 from fenicsmpm.materials.tensors import (
     SMALL,
     congruence,
@@ -36,7 +37,6 @@ from fenicsmpm.materials.tensors import (
     inverse,
     log_of_one_plus,
     log_of_one_plus_small,
-    metric_change,
     norm_squared,
     rows,
     small_exponential,
@@ -61,17 +61,6 @@ def yield_stress(eps_p, decay, parameters):  # type: ignore[no-untyped-def]
     sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
     excess = (sigma_y - sigma_r) * decay
     return sigma_r + excess + H * eps_p, H - eta * excess
-
-
-@compiled
-def _trial(F, state):  # type: ignore[no-untyped-def]
-    """Trial elastic deformation b_e - I with b_e = F C_p^-1 F^T."""
-    b = metric_change(F)
-    # plus F (C_p^-1 - I) F^T
-    p = congruence(
-        rows(F), (state[0] - 1, state[4] - 1, state[8] - 1, state[1], state[2], state[5])
-    )
-    return b[0] + p[0], b[1] + p[1], b[2] + p[2], b[3] + p[3], b[4] + p[4], b[5] + p[5]
 
 
 @compiled
@@ -152,7 +141,7 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mu, kappa, eta = parameters[0], parameters[1], parameters[4]
     change = volume_change(F)
     log_j = log_of_one_plus(change)
-    e = deviatoric_strain(_trial(F, state))
+    e = deviatoric_strain(elastic_deformation(F, state))
     q = _equivalent_stress(mu, norm_squared(e))
     d = _plastic_increment(q, state[_EPS_P], parameters)
     if d > 0:
@@ -181,7 +170,7 @@ def _least_yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
 @compiled
 def _update_eight(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     mu, kappa, eta = parameters[0], parameters[1], parameters[4]
-    change, b = volume_change(F), _trial(F, state)
+    change, b = volume_change(F), elastic_deformation(F, state)
     if not are_small(change, b):
         return False
     e = small_deviatoric_strain(b)
@@ -201,7 +190,7 @@ def _update_eight(F, L, parameters, state, sigma):  # type: ignore[no-untyped-de
 
 @compiled
 def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
-    e = deviatoric_strain(_trial(F, state))
+    e = deviatoric_strain(elastic_deformation(F, state))
     elastic = stored_energy(parameters[0], parameters[1], log_of_one_plus(volume_change(F)), e)
     return elastic + 0.5 * parameters[5] * state[_EPS_P] ** 2
 
@@ -209,7 +198,7 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
 @compiled
 def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
     mu = parameters[0]
-    e, n = principal_deviatoric_strain(_trial(F, state))
+    e, n = principal_deviatoric_strain(elastic_deformation(F, state))
     q = _equivalent_stress(mu, e[0] ** 2 + e[1] ** 2 + e[2] ** 2)
     d = _plastic_increment(q, state[_EPS_P], parameters)
     factor, c = 1.0, 0.0

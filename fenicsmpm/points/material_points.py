@@ -99,6 +99,7 @@ class MaterialPoints(PointArrays):
         self.version = 0
         self.grid_functions: tuple[str, npt.ArrayLike | None] | None = None
         self._coefficients: dict[str, PointField] = {}
+        self._initial = {}
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self.size_global = self._comm.allreduce(n)
         self.next_id = self.size_global
@@ -269,7 +270,8 @@ class MaterialPoints(PointArrays):
         """Add copies of other points. They get new ids, in the order of the old ones. Collective.
 
         Args:
-            other: Points on the same mesh with the same fields.
+            other: Points on the same mesh with the same fields, but for those that had one initial
+                value for all here, see `add_field`: they get that value.
 
         Raises:
             ValueError: If meshes or fields differ.
@@ -278,8 +280,12 @@ class MaterialPoints(PointArrays):
             raise ValueError(
                 "points on another mesh cannot be added: put them on this one with from_mesh first"
             )
-        check_same_fields(self._data, other._data)
-        new = {**other._data, "id": self.next_id + ids_in_order(self._comm, other.id)}
+        theirs = dict(other._data)
+        for name in self._initial.keys() - theirs.keys():
+            value, shape = self._initial[name], self.field_shape(name)
+            theirs[name] = np.broadcast_to(value, (len(other), *shape))
+        check_same_fields(self._data, theirs)
+        new = {**theirs, "id": self.next_id + ids_in_order(self._comm, other.id)}
         self.next_id += other.size_global
         self.size_global += other.size_global
         self._replace({name: np.concatenate([a, new[name]]) for name, a in self._data.items()})
@@ -317,7 +323,7 @@ class MaterialPoints(PointArrays):
         mask = self._mask(which)
         result = object.__new__(MaterialPoints)
         result.__dict__.update(self.__dict__)
-        result._coefficients = {}
+        result._coefficients, result._initial = {}, dict(self._initial)
         result.size_global = self._comm.allreduce(int(mask.sum()))
         result._replace(self._rows(mask))
         return result

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Functions of positions that users pass: markers, predicates, velocities, normals.
+"""Functions of positions that users pass: markers, predicates, velocities, densities, stresses.
 
 They are those of dolfinx, in the plane too: a function gets positions in m of the shape (3, n), so
-that x[0] are the first coordinates. A marker returns a mask (n,), a vector function values (d, n).
+that x[0] are the first coordinates. A marker returns a mask (n,), others values whose last index is
+that of the point: (n,), (d, n) of vectors, (3, 3, n) of tensors.
 A function may fail on one rank only, so errors are returned: all ranks have to raise them together.
 """
 
@@ -48,10 +49,26 @@ def vectors_at(
     Returns:
         What is wrong, as for `mask_at`; and the values (n, d), zero if anything is wrong.
     """
-    error, given = _evaluate(function, x, x.shape[1:], "biuf", "values")
-    values = np.zeros(x.shape)
+    return values_at(function, x, x.shape[1:])
+
+
+def values_at(
+    function: OfPosition, x: npt.NDArray[np.float64], shape: tuple[int, ...]
+) -> tuple[Exception | None, npt.NDArray[np.float64]]:
+    """Values of a function of some shape.
+
+    Args:
+        function: Function of positions to values (*shape, n).
+        x: Positions in m, shape (n, d).
+        shape: Of a value.
+
+    Returns:
+        What is wrong, as for `mask_at`; and the values (n, *shape), zero if anything is wrong.
+    """
+    error, given = _evaluate(function, x, shape, "biuf", "values")
+    values = np.zeros((len(x), *shape))
     if given is not None:
-        values[:] = given.T
+        values[:] = np.moveaxis(given, -1, 0)
     return error, values
 
 

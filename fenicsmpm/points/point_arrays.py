@@ -19,6 +19,7 @@ class PointArrays:
     """What the points of this rank have: built-in arrays and the user's fields, by name."""
 
     _data: FieldTable
+    _initial: dict[str, npt.NDArray[np.float64]]  # of fields that began with one value for all
 
     def __len__(self) -> int:
         """Number of points on this rank."""
@@ -85,7 +86,8 @@ class PointArrays:
         Args:
             name: Name of the field, the same on all ranks.
             shape: Shape of the value at one point.
-            value: Initial value, of shape `shape` or (n, *shape).
+            value: Initial value, of shape `shape` or (n, *shape). One value for all is also that of
+                points which are added later without this field.
 
         Returns:
             The new array, shape (n, *shape).
@@ -98,6 +100,9 @@ class PointArrays:
         array = np.empty((len(self), *shape))
         assign(name, array, value)
         self._data[name] = array
+        one = np.array(value, dtype=np.float64)
+        if one.shape in ((), shape):
+            self._initial[name] = one
         return array
 
     def __contains__(self, name: object) -> bool:

@@ -81,7 +81,12 @@ class ComputedField(PointField):
         shape: of a value.
         update: computes the values anew; fields that share it are computed together.
         read: returns the values, ``(n_points, *shape)`` in storage order.
+
+    Attributes:
+        source: what computes the values, such as a law; None if nobody is to know.
     """
+
+    source: Any = None
 
     def __init__(
         self,

@@ -8,6 +8,8 @@ time.
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
@@ -36,6 +38,25 @@ def owned_of(mesh: Mesh, geometry: CellGeometry, cells: npt.ArrayLike | None) ->
         )
     raise_together(mesh.comm, error)
     return given[given < geometry.num_owned].astype(np.int32)
+
+
+def mesh_bounds(mesh: Mesh, geometry: CellGeometry) -> tuple[Array, Array]:
+    """Lowest and highest coordinates in m of the mesh, each of shape (d,). Collective."""
+    lower, upper = own_bounds(geometry)
+    origin, end = np.empty((2, geometry.dim))
+    mesh.comm.Allreduce(lower, origin, MPI.MIN)
+    mesh.comm.Allreduce(upper, end, MPI.MAX)
+    return origin, end
+
+
+def own_bounds(geometry: CellGeometry) -> tuple[Array, Array]:
+    """Lowest and highest coordinates in m of this rank's cells; infinity, if it has none."""
+    lower, upper = np.full(geometry.dim, np.inf), np.full(geometry.dim, -np.inf)
+    for block in geometry.blocks(geometry.num_owned):
+        corners = geometry.corners(block)
+        lower = np.minimum(lower, corners.min(axis=(0, 1)))
+        upper = np.maximum(upper, corners.max(axis=(0, 1)))
+    return lower, upper
 
 
 def lattice_indices(

@@ -32,6 +32,8 @@ from fenicsmpm.points.seed_blocks import (
     lattice_indices,
     lattice_numbers,
     make_points,
+    mesh_bounds,
+    own_bounds,
     owned_of,
     split,
 )
@@ -173,14 +175,8 @@ def lattice(
     if step.shape not in ((), (geometry.dim,)) or not np.all((step > 0) & (step < np.inf)):
         raise ValueError(f"the spacing of a lattice must be positive, not {spacing}")
     step = np.broadcast_to(step, geometry.dim)
-    lower, upper = np.full(geometry.dim, np.inf), np.full(geometry.dim, -np.inf)
-    for block in geometry.blocks(geometry.num_owned):
-        corners = geometry.corners(block)
-        lower = np.minimum(lower, corners.min(axis=(0, 1)))
-        upper = np.maximum(upper, corners.max(axis=(0, 1)))
-    origin, end = np.empty((2, geometry.dim))
-    mesh.comm.Allreduce(lower, origin, MPI.MIN)
-    mesh.comm.Allreduce(upper, end, MPI.MAX)
+    lower, upper = own_bounds(geometry)
+    origin, end = mesh_bounds(mesh, geometry)
 
     def position(index: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         return origin + (index + 0.5) * step

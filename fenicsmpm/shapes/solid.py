@@ -78,9 +78,7 @@ class Solid:
         edges = self.facets - np.roll(self.facets, 1, axis=1)
         longest = np.linalg.norm(edges, axis=2).max(axis=1)
         size = np.abs(self.facets).max()
-        flat = self.areas <= np.maximum(1e-12 * longest, 1e-15 * size) ** (self.dim - 1)
-        if self.dim == 3:
-            flat = self.areas <= np.maximum(1e-12 * longest, 1e-15 * size) * longest
+        flat = self.areas <= np.maximum(1e-12 * longest, 1e-15 * size) * longest ** (self.dim - 2)
         bad = np.flatnonzero(flat)
         if len(bad):
             what = "sides of no length" if self.dim == 2 else "triangles of no area"
@@ -108,15 +106,18 @@ class Solid:
     def _check_sides(self) -> None:
         """Raise unless each facet has the solid behind it and nothing in front, at its centre."""
         lower, upper = self.bounds()
-        step = _BESIDE * np.linalg.norm(upper - lower) * self.normals
-        centre = self.facets.mean(axis=1)
-        behind, before = (all_windings(self.tree, centre + sign * step) for sign in (-1, 1))
+        step = _BESIDE * float(np.linalg.norm(upper - lower))
+        edges = np.linalg.norm(self.facets - np.roll(self.facets, 1, axis=1), axis=2)
+        # beside slivers one may be on the other side of a neighbour
+        which = np.flatnonzero(self.areas > 10.0 * step * edges.max(axis=1) ** (self.dim - 2))
+        centre, offset = self.facets[which].mean(axis=1), step * self.normals[which]
+        behind, before = (all_windings(self.tree, centre + s * offset) for s in (-1, 1))
         bad = np.flatnonzero((behind != 1) | (before != 0))
         if len(bad):
             raise ValueError(
-                f"the boundary crosses or covers itself: {len(bad)} of {len(behind)} facets do not "
-                f"have the solid on one side, first number {bad[0]} at {centre[bad[0]]}; unite "
-                "bodies that overlap, and orient all parts alike"
+                f"the boundary crosses or covers itself: {len(bad)} of {len(which)} facets do not "
+                f"have the solid on one side, first number {which[bad[0]]} at {centre[bad[0]]}; "
+                "unite bodies that overlap, and orient all parts alike"
             )
 
     @property

@@ -178,23 +178,24 @@ def _on_triangle(facet, x, result):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def closest(tree, x, result):  # type: ignore[no-untyped-def]
+def closest(tree, x, radius, result):  # type: ignore[no-untyped-def]
     """Find the point of the boundary that is closest to x.
 
     Args:
         tree: The `Tree`.
         x: Position in m, (d,).
+        radius: How far to look in m, may be infinite; a small one makes it faster.
         result: Is filled with the closest point in m, (d,).
 
     Returns:
-        The facet, by its number in the tree.
+        The facet, by its number in the tree; -1 if none is closer than the radius.
     """
     d = len(x)
     stack = np.empty(_DEPTH, dtype=np.int64)
     bound = np.empty(_DEPTH)
     candidate = np.empty(d)
     stack[0], bound[0] = 0, _squared_to_box(tree.lower[0], tree.upper[0], x)
-    height, best, facet = 1, np.inf, 0
+    height, best, facet = 1, radius * radius, -1
     while height > 0:
         height -= 1
         node = stack[height]
@@ -296,7 +297,7 @@ def signed_distance(tree, x, gradient):  # type: ignore[no-untyped-def]
             boundary the normal of a facet.
     """
     d = len(x)
-    facet = closest(tree, x, gradient)
+    facet = closest(tree, x, np.inf, gradient)
     sign = -1.0 if winding(tree, x) > 0 else 1.0
     squared, size = 0.0, 0.0
     for k in range(d):
@@ -316,6 +317,15 @@ def all_windings(tree, x):  # type: ignore[no-untyped-def]
     result = np.empty(len(x), dtype=np.int64)
     for i in range(len(x)):
         result[i] = winding(tree, x[i])
+    return result
+
+
+@njit
+def all_near(tree, x, radius):  # type: ignore[no-untyped-def]
+    """Whether the boundary is closer than a radius to points x (n, d), an array (n,)."""
+    result, found = np.empty(len(x), dtype=np.bool_), np.empty(x.shape[1])
+    for i in range(len(x)):
+        result[i] = closest(tree, x[i], radius, found) >= 0
     return result
 
 

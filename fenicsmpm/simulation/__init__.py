@@ -8,20 +8,27 @@ from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.reaction import Reaction
 from fenicsmpm.simulation.rebalanced import Rebalanced, imbalance
 from fenicsmpm.simulation.resultant import Resultant
+from fenicsmpm.simulation.staging import Exchange, add_points, remove_points
 from fenicsmpm.simulation.step import Step
+from fenicsmpm.simulation.throughflow import Sink, Source
 from fenicsmpm.simulation.unstable import UnstableError
 
 __all__ = [
     "Audit",
     "Balance",
+    "Exchange",
     "ExplicitMPM",
     "ImplicitMPM",
     "Observer",
     "Reaction",
     "Rebalanced",
     "Resultant",
+    "Sink",
+    "Source",
     "Step",
     "StepAudit",
     "UnstableError",
+    "add_points",
     "imbalance",
+    "remove_points",
 ]

@@ -19,10 +19,13 @@ from fenicsmpm import _compat
 from fenicsmpm.cells import Tying
 from fenicsmpm.forms import FieldUpdates, PointExpression
 from fenicsmpm.formulations import Kinematics
+from fenicsmpm.formulations.lumped_projection import all_coefficients
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
 from fenicsmpm.formulations.unknown import Part, Unknown
+from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
+from fenicsmpm.points.point_field import ComputedField
 from fenicsmpm.simulation.observer import Observers, Watcher
 from fenicsmpm.simulation.parameters import of_points, of_residual
 from fenicsmpm.simulation.renewals import check_updates, renewals
@@ -87,6 +90,7 @@ class ImplicitMPM:
         rigid: rigid bodies in the residual.
         time: [s].
         number: of steps done.
+        laws: law at the points of each body that has one in the residual.
         next_dt: length of the next step that ``run`` will try [s].
         seconds: time spent in each stage so far [s].
     """
@@ -125,6 +129,11 @@ class ImplicitMPM:
         self.newton = NewtonSolver(R, unknown.U, [*self._fixed, *bcs], **(newton or {}))
         self._described = of_residual(R)
         self.rigid = rigid_bodies_in(R)
+        self.laws: dict[MaterialPoints, Law] = {
+            field.points: field.source
+            for field in all_coefficients(R)
+            if isinstance(field, ComputedField) and isinstance(field.source, Law)
+        }
         self._histories = [part for part in unknown.parts if part.role == "history"]
         dim = unknown.mesh.geometry.dim
         tying = self.newton.tying

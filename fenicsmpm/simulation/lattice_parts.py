@@ -25,7 +25,7 @@ from fenicsmpm.simulation.lattice_carried import flat, half_size
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.body import Body
 from fenicsmpm.transfer.contact import contact
-from fenicsmpm.transfer.fused import transfers
+from fenicsmpm.transfer.fused import Kernels, transfers
 from fenicsmpm.transfer.sharing import Sharing, Sums
 from fenicsmpm.transfer.tiles import (
     Integers,
@@ -69,19 +69,10 @@ class Part:
     def __init__(
         self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None, nodes: Nodes
     ) -> None:
-        """Make the kernels, which are compiled at first use."""
+        """Take what the steps need."""
         dim = points.mesh.geometry.dim
         self.points, self._law, self._fbar = points, law, fbar
         self._dim, self._rates, self._kind = dim, law.needs_rate, kind
-        self._kernels = transfers(
-            dim,
-            kind,
-            law.update,
-            law.update_eight,
-            law.n_state,
-            law.needs_rate,
-            law.is_fluid,
-        )
         self.maps_back = kind == LINEAR
         self._contact = contact(dim, kind)
         self._half = half_size(points)
@@ -218,7 +209,9 @@ class Part:
         points, d, order = self.points, self._dim, self._order
         n = len(points)
         # the largest first, since blocks are made by way of copies
-        F = in_blocks(points["F"][:, :d, :d], order)
+        F, F33 = _plane_parts(points["F"], d, law.is_fluid)
+        self._kernels = self._kernels_for(len(F33) > 0)
+        F, F33 = in_blocks(F, order), in_blocks(F33, order if len(F33) else order[:0])
         x = in_blocks(points.x, order)
         state = [points[k].reshape(n, math.prod(shape)) for k, (shape, _) in law.state.items()]
         self._body = Body(
@@ -226,6 +219,7 @@ class Part:
             x_next=np.empty_like(x),
             v=in_blocks(points["v"], order),
             F=F,
+            F33=F33,
             J_bar=in_blocks(points["J" if self._fbar is None else "J_bar"], order),
             mass=in_blocks(points["mass"], order, copied=False),
             V_0=in_blocks(points["V_0"], order, copied=False),
@@ -237,6 +231,14 @@ class Part:
         self._slips = {name: in_blocks(points[name], order) for name in slips}
         self._reference: Array | None = None  # initial positions, if those at the beginning go
         self._version = points.version
+
+    def _kernels_for(self, has_F33: bool) -> Kernels:
+        """The kernels, which are compiled at first use."""
+        law = self._law
+        return transfers(
+            self._dim, self._kind, law.update, law.update_eight, law.n_state, law.needs_rate,
+            law.is_fluid, has_F33,
+        )  # fmt: skip
 
     def scatter(self) -> None:
         """Add the points with the stresses that are known to the nodes."""
@@ -410,7 +412,7 @@ class Part:
         F = out_of_blocks(body.F, order, n, (d, d))
         if d == 2:
             F = np.pad(F, ((0, 0), (0, 1), (0, 1)))
-            F[:, 2, 2] = 1.0
+            F[:, 2, 2] = out_of_blocks(body.F33, order, n) if len(body.F33) else 1.0
         J = determinants(F)
         return {"F": F, "J": J, "weight": J * self.points["V_0"]}
 
@@ -493,6 +495,8 @@ class Part:
         F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], one, len(ids), (d, d))
         v = out_of_blocks(body.v[block * d : (block + 1) * d], one, len(ids), (d,))
         J = np.linalg.det(F) + 0 * v.sum(axis=1)  # no number, if one of both is none
+        if len(body.F33):
+            J *= out_of_blocks(body.F33[block : block + 1], one, len(ids))
         t = (x - nodes.origin[:d]) * nodes.per_metre[:d]
         inside = np.all((t >= -ON_WALL) & (t <= nodes.shape[:d] - 1 + ON_WALL), axis=1)
         good = inside & (J > 0) & np.isfinite(J)
@@ -511,6 +515,16 @@ class Part:
             else "has a stress that is not finite"
         )
         return f"point {ids[i]} {what} at {where} with J = {J[i]:g}"
+
+
+def _plane_parts(F: Array, dim: int, is_fluid: bool) -> tuple[Array, Array]:
+    """``(n, d, d)`` of deformation gradients, and stretches out of the plane unless all are 1."""
+    F33 = F[:, 2, 2]
+    if dim == 3 or np.all(F33 == 1):
+        return F[:, :dim, :dim], np.empty(0)
+    if is_fluid:  # of which only J matters
+        return np.sqrt(determinants(F))[:, None, None] * np.eye(2), np.empty(0)
+    return F[:, :2, :2], F33
 
 
 @njit(parallel=True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import ufl
 
 from fenicsmpm.formulations.lumped_projection import all_coefficients
-from fenicsmpm.formulations.rigid_gap import GapField
+from fenicsmpm.points.point_field import ComputedField
 from fenicsmpm.rigid import RigidBody
 
 
@@ -29,9 +29,9 @@ def rigid_bodies_in(form: ufl.Form) -> list[RigidBody]:
     Args:
         form: residual of a loop.
     """
-    gaps = [c for c in all_coefficients(form) if isinstance(c, GapField)]
-    found = [field.rigid for field in sorted(gaps, key=lambda field: field.count())]
-    return list(dict.fromkeys(found))
+    fields = [c for c in all_coefficients(form) if isinstance(c, ComputedField)]
+    sources = [field.source for field in sorted(fields, key=lambda field: field.count())]
+    return list(dict.fromkeys(source for source in sources if isinstance(source, RigidBody)))
 
 
 def memory_of(bodies: Sequence[RigidBody]) -> dict[str, float]:

@@ -16,6 +16,7 @@ class Body(NamedTuple):
         x_next: at its end.
         v: velocities (d,).
         F: deformation gradients (d, d).
+        F33: stretches out of the plane, of no points if they are 1, and in space.
         J_bar: averaged J.
         mass: [kg].
         V_0: initial volumes.
@@ -28,6 +29,7 @@ class Body(NamedTuple):
     x_next: Any
     v: Any
     F: Any
+    F33: Any
     J_bar: Any
     mass: Any
     V_0: Any

@@ -62,7 +62,14 @@ class Kernels(NamedTuple):
 
 @functools.cache
 def transfers(
-    dim: int, kind: int, update: Any, update_eight: Any, n_state: int, rates: bool, is_fluid: bool
+    dim: int,
+    kind: int,
+    update: Any,
+    update_eight: Any,
+    n_state: int,
+    rates: bool,
+    is_fluid: bool,
+    has_F33: bool,
 ) -> Kernels:
     """Compile the transfers.
 
@@ -74,14 +81,15 @@ def transfers(
         n_state: how many numbers the material remembers.
         rates: the material needs the velocity gradient.
         is_fluid: of the deformation, only J is kept.
+        has_F33: in the plane, points have stretches out of it, which stay.
     """
     width, fill = WIDTH[kind], stencils(dim, kind, in_window=True)
     fill_values = stencils(dim, kind, in_window=True, with_slopes=False)
     copies, count = windows(dim, width), window(dim, width).places
     pack, add = fused_to_nodes.to_nodes(dim, width)
-    of_point = fused_to_points.to_points(dim, width, rates)
+    of_point = fused_to_points.to_points(dim, width, rates, has_F33)
     interpolate, move_block, deform_block = of_point.interpolate, of_point.move, of_point.deform
-    means, determinant, root = of_point.means, of_point.determinant, of_point.root
+    means, volume_ratio, root = of_point.means, of_point.volume_ratio, of_point.root
     set_stress = stresses(update, update_eight, n_state, rates)
 
     @inline
@@ -94,6 +102,8 @@ def transfers(
                 prefetch(rows, block * dim + j)
         for j in range(dim * dim):
             prefetch(body.F, block * dim * dim + j)
+        if has_F33:
+            prefetch(body.F33, block)
 
     @inline
     def no_reach(reach):
@@ -128,7 +138,7 @@ def transfers(
         for block in range(units.blocks[unit], units.blocks[unit + 1]):
             fill(x, block, nodes, half, units.lower[unit], corner, base, w, d)
             widen(reach, corner)
-            V = determinant(body.F, block * dim * dim) * load(body.V_0, block)
+            V = volume_ratio(body, block) * load(body.V_0, block)
             pack(block, body, V, sigma, 9 * (block - begin), lines)
             add(base, w, d, lines, scratch)
         keep_reach(reach, units, unit)
@@ -237,7 +247,7 @@ def transfers(
             for block in range(units.blocks[unit], units.blocks[unit + 1]):
                 fetch(body, block + _AHEAD)
                 tensor = block * dim * dim
-                J = determinant(body.F, tensor)
+                J = volume_ratio(body, block)
                 scale = 1.0 + zeros()
                 if average:
                     fill_values(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
@@ -256,6 +266,8 @@ def transfers(
                         store(F_bar, 3 * j + k, scale * load(body.F, tensor + j * dim + k))
                         if rates:
                             store(rate, 3 * j + k, load(body.L, tensor + j * dim + k))
+                if has_F33:
+                    store(F_bar, 8, load(body.F33, block))
                 set_stress(
                     block, F_bar, rate, body.parameters, body.state, law_work, state_i, stress,
                     9 * (block - begin),

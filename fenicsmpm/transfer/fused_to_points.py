@@ -50,18 +50,19 @@ class ToPoints(NamedTuple):
     move: Callable[..., tuple[bool, bool]]
     deform: Callable[..., bool]
     means: Callable[..., object]
-    determinant: Callable[..., object]
+    volume_ratio: Callable[..., object]
     root: Callable[..., object]
 
 
 @functools.cache
-def to_points(dim: int, width: int, rates: bool) -> ToPoints:
+def to_points(dim: int, width: int, rates: bool, has_F33: bool) -> ToPoints:
     """Compile what blocks of points take from nodes.
 
     Args:
         dim: 2 or 3.
         width: nodes in a direction that a point has.
         rates: the material needs the velocity gradient.
+        has_F33: in the plane, points have stretches out of it.
     """
     shape = window(dim, width)
     far, near, last = shape.far, shape.near, (dim - 1) * width
@@ -78,6 +79,12 @@ def to_points(dim: int, width: int, rates: bool) -> ToPoints:
         d, e, f = load(F, first + 3), load(F, first + 4), load(F, first + 5)
         g, h, i = load(F, first + 6), load(F, first + 7), load(F, first + 8)
         return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+    @inline
+    def volume_ratio(body, block):
+        """J of the points of a block."""
+        J = determinant(body.F, block * dim * dim)
+        return J * load(body.F33, block) if has_F33 else J
 
     @inline
     def root(x):
@@ -188,7 +195,7 @@ def to_points(dim: int, width: int, rates: bool) -> ToPoints:
                 if rates:
                     store(body.L, tensor + j * dim + k, rate)
                 store(f, j * dim + k, dt * rate + 1.0 if j == k else dt * rate)
-        J_before, dJ = determinant(body.F, tensor), determinant(f, 0)
+        J_before, dJ = volume_ratio(body, block), determinant(f, 0)
         J_old = J_before
         shrink = 1.0 + zeros()
         if average and s > 0.0:
@@ -243,7 +250,7 @@ def to_points(dim: int, width: int, rates: bool) -> ToPoints:
             total += columns[c] * load(w, last + c)
         return total
 
-    return ToPoints(interpolate, move, deform, means, determinant, root)
+    return ToPoints(interpolate, move, deform, means, volume_ratio, root)
 
 
 @inline

@@ -1,0 +1,392 @@
+# SPDX-License-Identifier: MIT
+"""What frictional laws share: softening, opening in tension, stress, energy, tangent.
+
+A return map says what principal stresses of a given strength are; the rest is here. The strength is
+(friction, k, tension): a coefficient of friction [-], k [Pa] by cohesion, and a limit of tension
+[Pa]. It falls linearly with the accumulated plastic strain eps_p, of which the strength of a step
+is that at its end.
+
+What opens in tension closes without resistance (G. Klar et al., "Drucker-Prager elastoplasticity
+for sand animation", ACM TOG 35, 2016, for the return without it; A. P. Tampubolon et al.,
+"Multi-species simulation of porous sand and water mixtures", ACM TOG 36, 2017, section 4.3.4, for
+the correction of volume): the volumetric plastic strain that was found at the tip of the yield
+surface is kept as the "opening". While there is some, the mean stress cannot be compressive.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.materials.hencky import stored_energy
+from fenicsmpm.materials.law import (
+    Law,
+    compiled,
+    elastic_moduli,
+    not_negative,
+    number,
+    p_wave_modulus,
+    positive,
+)
+from fenicsmpm.materials.principal_stress import (
+    elastic_deformation,
+    principal_strains,
+    quotients,
+    set_cauchy_stress,
+    set_gradient,
+    set_plastic_deformation,
+    set_tangent,
+)
+from fenicsmpm.materials.tensors import volume_change
+
+logger = logging.getLogger(__name__)
+
+# Columns of the state, in the order of Frictional.state
+_EPS_P, _OPENING, _DISSIPATION = 9, 10, 11
+
+# A limit of tension that nothing reaches [Pa]
+NO_LIMIT = 1e300
+
+
+@compiled
+def _strength(eps_p, parameters):  # type: ignore[no-untyped-def]
+    """Friction, k, tension, their derivatives with respect to eps_p; and dilatancy."""
+    rate = parameters[2]
+    share = rate * eps_p
+    if share >= 1:
+        share, rate = 1.0, 0.0
+    d_friction, d_k = parameters[7] - parameters[3], parameters[8] - parameters[4]
+    friction, k = parameters[3] + share * d_friction, parameters[4] + share * d_k
+    dilatancy = parameters[5] + share * (parameters[9] - parameters[5])
+    d_friction, d_k = rate * d_friction, rate * d_k
+    tension, d_tension = parameters[6], 0.0
+    if friction * tension > k:  # the tip
+        tension = k / friction
+        d_tension = (d_k - tension * d_friction) / friction
+    return (friction, k, tension), (d_friction, d_k, d_tension), dilatancy
+
+
+@compiled
+def _square(a):  # type: ignore[no-untyped-def]
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+
+
+@compiled
+def _elastic_strain(tau, mu, kappa):  # type: ignore[no-untyped-def]
+    mean = (tau[0] + tau[1] + tau[2]) / 3
+    third, r = mean / (3 * kappa), 0.5 / mu
+    return (
+        third + r * (tau[0] - mean),
+        third + r * (tau[1] - mean),
+        third + r * (tau[2] - mean),
+    )
+
+
+@compiled
+def _times(A, b):  # type: ignore[no-untyped-def]
+    """A^T b for a tuple of 9 by rows."""
+    return (
+        A[0] * b[0] + A[3] * b[1] + A[6] * b[2],
+        A[1] * b[0] + A[4] * b[1] + A[7] * b[2],
+        A[2] * b[0] + A[5] * b[1] + A[8] * b[2],
+    )
+
+
+@functools.cache
+def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
+    """Compile update, energy, tangent and work gradient of a law.
+
+    Args:
+        return_map: ``return_map(strain, mu, kappa, strength, slopes, dilatancy)`` returns whether
+            there is plastic flow, the principal stresses, d tau_a / d eps_b (a tuple of 9 by rows),
+            d tau_a / d eps_p, and the part of the volumetric plastic strain that is an opening.
+            Strains are sorted, the largest first.
+    """
+
+    @compiled
+    def solve(strain, state, parameters):  # type: ignore[no-untyped-def]
+        """All that a step is, in principal axes."""
+        mu, kappa = parameters[0], parameters[1]
+        eps_p, opening = state[_EPS_P], state[_OPENING]
+        # What is open closes before there is compression.
+        volume = strain[0] + strain[1] + strain[2]
+        closed = min(max(-volume, 0.0), opening)
+        third = closed / 3
+        strain = strain[0] + third, strain[1] + third, strain[2] + third
+        # What is open does not dilate.
+        dilatancy = _strength(eps_p, parameters)[2] if closed == opening else 0.0
+        size = abs(strain[0]) + abs(strain[2])
+        low, high = eps_p, math.inf
+        x = eps_p
+        flow, increment, slope = (0.0, 0.0, 0.0), 0.0, 0.0
+        flows, tau, D, softening, opened = False, strain, (0.0,) * 9, strain, 0.0
+        for _ in range(100):
+            strength, slopes, _dilatancy = _strength(x, parameters)
+            flows, tau, D, softening, opened = return_map(
+                strain, mu, kappa, strength, slopes, dilatancy
+            )
+            if not flows:
+                break
+            e = _elastic_strain(tau, mu, kappa)
+            flow = strain[0] - e[0], strain[1] - e[1], strain[2] - e[2]
+            increment = math.sqrt(2 / 3 * _square(flow))
+            if parameters[2] == 0:
+                break
+            # x = eps_p + increment(x) by Newton's method, and bisection where it leaves the bracket
+            excess = x - eps_p - increment
+            r = _elastic_strain(softening, mu, kappa)
+            slope = -2 / 3 * (flow[0] * r[0] + flow[1] * r[1] + flow[2] * r[2]) / increment
+            if not abs(excess) > 1e-15 * (x + size):
+                break
+            if excess < 0:
+                low = x
+            else:
+                high = x
+            x -= excess / (1 - slope)
+            if not low < x < high:
+                x = 0.5 * (low + high) if high < math.inf else 2 * low - eps_p + increment
+                if not low < x < high:
+                    break
+        return closed, strain, flows, tau, D, softening, opened, flow, increment, slope
+
+    @compiled
+    def update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
+        strain, n = principal_strains(elastic_deformation(F, state))
+        closed, strain, flows, tau, _D, _softening, opened, flow, increment, _slope = solve(
+            strain, state, parameters
+        )
+        if flows or closed > 0:
+            elastic = strain[0] - flow[0], strain[1] - flow[1], strain[2] - flow[2]
+            set_plastic_deformation(F, elastic, n, state)
+            state[_EPS_P] += increment
+            state[_OPENING] += opened - closed
+            state[_DISSIPATION] += tau[0] * flow[0] + tau[1] * flow[1] + tau[2] * flow[2]
+        set_cauchy_stress(sigma, tau, n, 1 + volume_change(F))
+
+    @compiled
+    def energy(F, parameters, state):  # type: ignore[no-untyped-def]
+        (x, y, z), _n = principal_strains(elastic_deformation(F, state))
+        volume = x + y + z
+        third = volume / 3
+        deviator = x - third, y - third, z - third, 0.0, 0.0, 0.0
+        return stored_energy(parameters[0], parameters[1], volume, deviator)
+
+    @compiled
+    def linearize(strain, state, parameters):  # type: ignore[no-untyped-def]
+        """Stresses, d tau_a / d eps_b, and the derivatives of energy and dissipation."""
+        mu, kappa = parameters[0], parameters[1]
+        volume = strain[0] + strain[1] + strain[2]
+        closed, strain, flows, tau, D, softening, _opened, flow, increment, slope = solve(
+            strain, state, parameters
+        )
+        if flows and parameters[2] > 0 and increment > 0:
+            # d eps_p = d|flow| / (1 - slope), flow = strain - C^-1 tau
+            f = _elastic_strain(flow, mu, kappa)
+            p = _times(D, f)
+            r = 2 / 3 / increment / (1 - slope)
+            g = r * (flow[0] - p[0]), r * (flow[1] - p[1]), r * (flow[2] - p[2])
+            D = (
+                D[0] + softening[0] * g[0], D[1] + softening[0] * g[1], D[2] + softening[0] * g[2],
+                D[3] + softening[1] * g[0], D[4] + softening[1] * g[1], D[5] + softening[1] * g[2],
+                D[6] + softening[2] * g[0], D[7] + softening[2] * g[1], D[8] + softening[2] * g[2],
+            )  # fmt: skip
+        # energy grows by tau : d strain - tau : d flow, dissipation by tau : d flow + d tau : flow
+        w = _times(D, flow)
+        w = tau[0] + w[0], tau[1] + w[1], tau[2] + w[2]
+        if 0 < closed and closed == -volume:  # what closes does not feel the change of volume
+            x, y, z = (D[0] + D[1] + D[2]) / 3, (D[3] + D[4] + D[5]) / 3, (D[6] + D[7] + D[8]) / 3
+            D = (
+                D[0] - x, D[1] - x, D[2] - x,
+                D[3] - y, D[4] - y, D[5] - y,
+                D[6] - z, D[7] - z, D[8] - z,
+            )  # fmt: skip
+            x = (w[0] + w[1] + w[2]) / 3
+            w = w[0] - x, w[1] - x, w[2] - x
+        return tau, D, w
+
+    @compiled
+    def tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
+        strain, n = principal_strains(elastic_deformation(F, state))
+        tau, D, _w = linearize(strain, state, parameters)
+        set_tangent(F, strain, n, tau, D, quotients(strain, tau, D), dPdF)
+
+    @compiled
+    def work_gradient(F, parameters, state, G):  # type: ignore[no-untyped-def]
+        strain, n = principal_strains(elastic_deformation(F, state))
+        _tau, _D, w = linearize(strain, state, parameters)
+        set_gradient(F, n, w, G)
+
+    return update, energy, tangent, work_gradient
+
+
+def angle(value: float, symbol: str, meaning: str) -> float:
+    """An angle in degrees, if it is at least 0 and less than 90, in radians.
+
+    Args:
+        value: to be checked.
+        symbol: name of the parameter.
+        meaning: what it is.
+
+    Raises:
+        ValueError: for what is none.
+    """
+    result = number(value, symbol, meaning, "degrees")
+    if not 0 <= result < 90:
+        raise ValueError(f"{meaning} must lie in [0, 90) degrees: {symbol} = {result}")
+    return math.radians(result)
+
+
+class Frictional(Law):
+    """Hencky's law with a yield surface whose size grows with pressure.
+
+    Args:
+        E: Young's modulus [Pa], positive.
+        nu: Poisson's ratio [-], -1 < nu < 0.5.
+        cohesion: [Pa], not negative.
+        friction: angle of friction [degrees], 0 <= friction < 90.
+        dilatancy: angle of dilatancy [degrees], 0 <= dilatancy <= friction.
+        tension: limit of tension [Pa], not negative, at most the tip of the yield surface, which it
+            is by default.
+        softening_strain: plastic strain at which the residual values are reached [-]; the following
+            parameters are those of the peak where they are not given.
+        residual_cohesion: [Pa].
+        residual_friction: [degrees].
+        residual_dilatancy: [degrees].
+        return_map: see ``functions``.
+        coefficients: ``coefficients(cohesion, friction, dilatancy)``, of angles in radians:
+            friction [-], k [Pa] and dilatancy [-] of the return map.
+    """
+
+    def __init__(
+        self,
+        E: float,
+        nu: float,
+        cohesion: float,
+        friction: float,
+        dilatancy: float,
+        tension: float | None,
+        softening_strain: float | None,
+        residual_cohesion: float | None,
+        residual_friction: float | None,
+        residual_dilatancy: float | None,
+        *,
+        return_map: Any,
+        coefficients: Any,
+    ) -> None:
+        """Check and store the parameters."""
+        self.mu, self.kappa = elastic_moduli(E, nu)
+        self.E, self.nu = float(E), float(nu)
+        peak = _checked(cohesion, friction, dilatancy, "")
+        residual_given = {
+            "residual_cohesion": residual_cohesion,
+            "residual_friction": residual_friction,
+            "residual_dilatancy": residual_dilatancy,
+        }
+        given = [name for name, value in residual_given.items() if value is not None]
+        rate, residual = 0.0, peak
+        if softening_strain is None:
+            if given:
+                raise ValueError(
+                    f"{given[0]} = {residual_given[given[0]]} without softening_strain: give the "
+                    "plastic strain at which it is reached"
+                )
+        else:
+            rate = 1 / positive(softening_strain, "softening_strain", "strain of softening", "-")
+            if not given:
+                raise ValueError(
+                    f"softening_strain = {softening_strain} without a residual value: give "
+                    + " or ".join(residual_given)
+                )
+            residual = _checked(
+                cohesion if residual_cohesion is None else residual_cohesion,
+                friction if residual_friction is None else residual_friction,
+                dilatancy if residual_dilatancy is None else residual_dilatancy,
+                "residual_",
+            )
+            names = ("cohesion", "friction", "dilatancy")
+            for name, low, high in zip(names, residual, peak, strict=True):
+                if low > high:
+                    unit, one = ("Pa", 1.0) if name == "cohesion" else ("degrees", math.pi / 180)
+                    raise ValueError(
+                        f"what softens must not grow: residual_{name} = {low / one:g} {unit} is "
+                        f"above {name} = {high / one:g} {unit}"
+                    )
+        strengths = [coefficients(*values) for values in (peak, residual)]
+        (eta, k, _), (residual_eta, residual_k, _) = strengths
+        tip = k / eta if eta > 0 else math.inf
+        if tension is None:
+            limit = NO_LIMIT
+        else:
+            limit = not_negative(tension, "tension", "limit of tension", "Pa")
+            if limit > tip * (1 + 1e-12):
+                raise ValueError(
+                    f"limit of tension is above the tip of the yield surface: tension = {limit:g} "
+                    f"Pa, tip {tip:g} Pa. Leave it out for the tip."
+                )
+        steepest = rate * (k - residual_k)
+        if steepest >= self.mu:
+            raise ValueError(
+                f"softening is steeper than the elastic unloading: the cohesive strength falls by "
+                f"{k - residual_k:g} Pa over softening_strain = {softening_strain}, which must be "
+                f"less than mu = {self.mu:g} Pa per strain"
+            )
+        if residual_k < k or residual_eta < eta:
+            logger.warning(
+                "softening without a length scale: the width of shear bands, and with it the "
+                "dissipation, depends on the mesh"
+            )
+        update, energy, tangent, work_gradient = functions(return_map)
+        super().__init__(
+            update,
+            np.array([self.mu, self.kappa, rate, *strengths[0], limit, *strengths[1]]),
+            p_wave_modulus(self.mu, self.kappa),
+            {
+                "C_p_inverse": ((3, 3), np.eye(3)),
+                "eps_p": ((), 0.0),
+                "opening": ((), 0.0),
+                "dissipation": ((), 0.0),
+            },
+            energy=energy,
+            tangent=tangent,
+            work_gradient=work_gradient,
+            needs_rate=False,
+        )
+        self.strength: npt.NDArray[np.float64] = np.array([peak, residual])
+        self.tension = min(limit, tip)
+
+    def __repr__(self) -> str:
+        """Parameters with units."""
+        peak, residual = (
+            f"{c:g} Pa, {math.degrees(phi):g} degrees, {math.degrees(psi):g} degrees"
+            for c, phi, psi in self.strength
+        )
+        softens = f", residual: {residual}" if self.parameters[2] > 0 else ""
+        return (
+            f"{type(self).__name__}(E={self.E:g} Pa, nu={self.nu:g}, cohesion, friction, "
+            f"dilatancy: {peak}{softens}, tension={self.tension:g} Pa)"
+        )
+
+
+def _checked(
+    cohesion: float, friction: float, dilatancy: float, prefix: str
+) -> tuple[float, float, float]:
+    """Cohesion [Pa] and angles [rad] that fit together."""
+    c = not_negative(cohesion, f"{prefix}cohesion", "cohesion", "Pa")
+    phi = angle(friction, f"{prefix}friction", "angle of friction")
+    psi = angle(dilatancy, f"{prefix}dilatancy", "angle of dilatancy")
+    if psi > phi:
+        raise ValueError(
+            f"dilatancy above friction would make energy: {prefix}dilatancy = {dilatancy} degrees, "
+            f"{prefix}friction = {friction} degrees"
+        )
+    if c == 0 and phi == 0:
+        raise ValueError(
+            f"no strength at all: {prefix}cohesion = {cohesion} Pa and {prefix}friction = "
+            f"{friction} degrees"
+        )
+    return c, phi, psi

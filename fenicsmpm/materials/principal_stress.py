@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: MIT
+"""What laws share that are written in principal Hencky strains, for numba.
+
+The elastic part of the deformation is ``b_e = F C_p^-1 F^T``, and C_p^-1 stands in the first nine
+numbers of the state. The trial strains of a step are ``eps_a = 1/2 ln b_a`` with the eigenvalues
+b_a of ``F C_p^-1 F^T`` for the state before the step. A law maps them to principal Kirchhoff
+stresses tau_a; principal directions stay (E. A. de Souza Neto, D. Peric, D. R. J. Owen,
+"Computational Methods for Plasticity", section 14.4).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fenicsmpm.materials.law import compiled
+from fenicsmpm.materials.tensors import (
+    compose,
+    congruence,
+    eigen,
+    inverse,
+    log_of_one_plus,
+    metric_change,
+    rows,
+)
+
+
+@compiled
+def elastic_deformation(F, state):  # type: ignore[no-untyped-def]
+    """b_e - I with b_e = F C_p^-1 F^T, a symmetric tensor."""
+    b = metric_change(F)
+    # plus F (C_p^-1 - I) F^T
+    p = congruence(
+        rows(F), (state[0] - 1, state[4] - 1, state[8] - 1, state[1], state[2], state[5])
+    )
+    return b[0] + p[0], b[1] + p[1], b[2] + p[2], b[3] + p[3], b[4] + p[4], b[5] + p[5]
+
+
+@compiled
+def principal_strains(b):  # type: ignore[no-untyped-def]
+    """Logarithmic strains of the tensor b - I, the largest first, and directions in columns."""
+    w, n = eigen(b)
+    x, y, z = w
+    i, j, k = 0, 1, 2
+    if x < y:
+        x, y, i, j = y, x, j, i
+    if y < z:
+        y, z, j, k = z, y, k, j
+    if x < y:
+        x, y, i, j = y, x, j, i
+    directions = (
+        n[i], n[j], n[k],
+        n[3 + i], n[3 + j], n[3 + k],
+        n[6 + i], n[6 + j], n[6 + k],
+    )  # fmt: skip
+    logarithms = log_of_one_plus(x), log_of_one_plus(y), log_of_one_plus(z)
+    return (0.5 * logarithms[0], 0.5 * logarithms[1], 0.5 * logarithms[2]), directions
+
+
+@compiled
+def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
+    """Set sigma to tau / J, from principal values and directions; NaN unless J is positive."""
+    r = 1 / jacobian if jacobian > 0 else math.nan
+    s = compose((r * tau[0], r * tau[1], r * tau[2]), n)
+    sigma[0, 0], sigma[1, 1], sigma[2, 2] = s[0], s[1], s[2]
+    sigma[0, 1] = sigma[1, 0] = s[3]
+    sigma[0, 2] = sigma[2, 0] = s[4]
+    sigma[1, 2] = sigma[2, 1] = s[5]
+
+
+@compiled
+def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def]
+    """Set C_p^-1 = F^-1 b_e F^-T in the state, from principal elastic strains."""
+    b = compose((math.exp(2 * strain[0]), math.exp(2 * strain[1]), math.exp(2 * strain[2])), n)
+    c = congruence(inverse(rows(F)), b)
+    state[0], state[4], state[8] = c[0], c[1], c[2]
+    state[1] = state[3] = c[3]
+    state[2] = state[6] = c[4]
+    state[5] = state[7] = c[5]
+
+
+@compiled
+def quotients(strain, tau, D):  # type: ignore[no-untyped-def]
+    """(tau_a - tau_b) / (eps_a - eps_b) for ab = 12, 13, 23, or its limit for equal strains [Pa].
+
+    Args:
+        strain: principal trial strains.
+        tau: principal Kirchhoff stresses [Pa].
+        D: d tau_a / d eps_b, a tuple of 9 by rows [Pa].
+    """
+    return (
+        _quotient(strain[0] - strain[1], tau[0] - tau[1], D[0] - D[1] - D[3] + D[4]),
+        _quotient(strain[0] - strain[2], tau[0] - tau[2], D[0] - D[2] - D[6] + D[8]),
+        _quotient(strain[1] - strain[2], tau[1] - tau[2], D[4] - D[5] - D[7] + D[8]),
+    )
+
+
+@compiled
+def _quotient(strain, tau, twice_slope):  # type: ignore[no-untyped-def]
+    # with differences below, round-off would be more than a hundred-millionth
+    return tau / strain if abs(strain) > 1e-8 else 0.5 * twice_slope
+
+
+@compiled
+def set_tangent(F, strain, n, tau, D, quotient, dPdF):  # type: ignore[no-untyped-def]
+    """Set dPdF where principal Kirchhoff stresses depend on principal logarithmic strains.
+
+    In principal axes and with g = dF F^-1, d tau_aa = sum_b (d tau_a / d eps_b) g_bb; off the
+    diagonal, d tau_ab is (tau_a - tau_b) / (b_a - b_b) times that of b = F C_p^-1 F^T; and
+    dP = (d tau - tau g^T) F^-T.
+
+    Args:
+        F: deformation gradient.
+        strain: principal trial strains.
+        n: tuple of 9 with the principal directions in its columns.
+        tau: principal Kirchhoff stresses [Pa].
+        D: d tau_a / d eps_b, a tuple of 9 by rows [Pa].
+        quotient: see ``quotients``.
+        dPdF: ``(3, 3, 3, 3)``, to be set.
+    """
+    work = np.empty((5, 3, 3))
+    # directions by columns, the same pulled back, and the factors of g_cc, g_ac and g_ca
+    N, W, direct, along, across = work[0], work[1], work[2], work[3], work[4]
+    inverse_F = inverse(rows(F))
+    for a in range(3):
+        for i in range(3):
+            N[i, a] = n[3 * i + a]
+        for i in range(3):
+            W[i, a] = (
+                inverse_F[3 * i] * N[0, a]
+                + inverse_F[3 * i + 1] * N[1, a]
+                + inverse_F[3 * i + 2] * N[2, a]
+            )
+    for a in range(3):
+        b_a = math.exp(2 * strain[a])
+        for j in range(3):
+            b_j = math.exp(2 * strain[j])
+            y = 2 * (strain[a] - strain[j])  # ln(b_a / b_j)
+            # pairs 01, 02, 12 stand in this order; a = j is not used
+            of_pair = quotient[min(max(a + j - 1, 0), 2)]
+            slope = 0.5 * of_pair * (y / math.expm1(y) if y != 0 else 1.0) / b_j
+            direct[a, j] = D[3 * a + j]
+            along[a, j] = slope * b_j
+            across[a, j] = slope * b_a - tau[a]
+        direct[a, a] -= tau[a]
+        along[a, a] = across[a, a] = 0.0
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    total = 0.0
+                    for a in range(3):
+                        for b in range(3):
+                            total += N[i, a] * (
+                                direct[a, b] * W[j, a] * N[k, b] * W[m, b]
+                                + along[a, b] * W[j, b] * N[k, a] * W[m, b]
+                                + across[a, b] * W[j, b] * N[k, b] * W[m, a]
+                            )
+                    dPdF[i, j, k, m] = total
+
+
+@compiled
+def set_gradient(F, n, w, G):  # type: ignore[no-untyped-def]
+    """Set G to the derivative with respect to F of a function of principal trial strains.
+
+    Args:
+        F: deformation gradient.
+        n: tuple of 9 with the principal directions in its columns.
+        w: derivatives with respect to the strains [J/m^3].
+        G: ``(3, 3)``, to be set: (sum_a w_a n_a n_a) F^-T.
+    """
+    W, f = compose(w, n), inverse(rows(F))
+    W = W[0], W[3], W[4], W[3], W[1], W[5], W[4], W[5], W[2]
+    for i in range(3):
+        for j in range(3):
+            G[i, j] = (
+                W[3 * i] * f[3 * j] + W[3 * i + 1] * f[3 * j + 1] + W[3 * i + 2] * f[3 * j + 2]
+            )

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""Solids from images: masks of pixels and voxels, and level sets of gray values.
+
+Arrays have the first coordinate first: values[i, j] or values[i, j, k] belong to the pixel or voxel
+whose lower corner is origin + (i, j, k) * spacing.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from fenicsmpm.shapes.solid import Solid
+from fenicsmpm.shapes.surface import surface
+
+# Values are moved away from the level by this part of their range, as it makes no slivers then.
+_FROM_LEVEL = 1e-3
+
+
+def mask(
+    values: npt.ArrayLike, spacing: float | npt.ArrayLike = 1.0, origin: npt.ArrayLike = 0.0
+) -> Solid:
+    """The union of pixels or voxels; its boundary goes along their sides.
+
+    Its volume is exact. The area is that of stairs: see `contour` for a smooth boundary.
+
+    Args:
+        values: True in the solid, shape (nx, ny) or (nx, ny, nz).
+        spacing: Sizes of a voxel in m, one number or shape (d,).
+        origin: Lower corner of the first voxel in m, one number or shape (d,).
+
+    Raises:
+        ValueError: For other shapes, values that are not bool, a mask that is false everywhere, and
+            a spacing that is not positive.
+    """
+    given = np.asarray(values)
+    if given.ndim not in (2, 3) or given.dtype != bool:
+        raise ValueError(
+            f"a mask needs bool values of the shape (nx, ny) or (nx, ny, nz), not {given.dtype} of "
+            f"the shape {given.shape}: compare an image with a level, as in image > 0.5"
+        )
+    size, start = _checked(given.ndim, spacing, origin)
+    if not given.any():
+        raise ValueError(f"a mask of the shape {given.shape} that is false everywhere")
+    d = given.ndim
+    padded = np.pad(given, 1).astype(np.int8)
+    # corners of a side with the normal in the direction 0, counter-clockwise as seen from there
+    corners = np.array([[0], [1]] if d == 2 else [[0, 0], [1, 0], [1, 1], [0, 1]])
+    pieces = [[0, 1]] if d == 2 else [[0, 1, 2], [0, 2, 3]]
+    facets = []
+    for axis, sign in itertools.product(range(d), (1, -1)):
+        # voxel i of the image is i + 1 here, so a step from i to i + 1 is at the place i
+        steps = np.diff(padded, axis=axis) == -sign
+        place = np.stack(np.nonzero(steps), axis=1) - 1
+        place[:, axis] += 1
+        others = [(axis + 1 + k) % d for k in range(d - 1)]
+        side = np.repeat(place[:, None], len(corners), axis=1)
+        side[:, :, others] += corners
+        # in 2D the turn from the other direction to the second one is clockwise
+        turn = -1 if (sign < 0) != (d == 2 and axis == 1) else 1
+        facets += [side[:, piece[::turn]] for piece in pieces]
+    return Solid(start + np.concatenate(facets) * size)
+
+
+def contour(
+    values: npt.ArrayLike,
+    level: float,
+    spacing: float | npt.ArrayLike = 1.0,
+    origin: npt.ArrayLike = 0.0,
+) -> Solid:
+    """The region in which gray values are above a level, with an interpolated boundary.
+
+    Values are those at centres of voxels and vary linearly between them: marching squares in 2D, by
+    contourpy, and marching cubes in 3D, by VTK (pyvista). Outside of the image they are the lowest
+    value. Its normals and area converge for smooth images; blur a mask before, for example with
+    scipy.ndimage.gaussian_filter.
+
+    Args:
+        values: Gray values, shape (nx, ny) or (nx, ny, nz).
+        level: Between the lowest and highest value. Values at a distance below a thousandth of
+            their range from it are moved.
+        spacing: Sizes of a voxel in m, one number or shape (d,).
+        origin: Lower corner of the first voxel in m, one number or shape (d,).
+
+    Raises:
+        ValueError: For other shapes, values that are not finite, a level out of their range, and a
+            spacing that is not positive.
+        ImportError: In 3D without pyvista.
+    """
+    given = np.asarray(values, dtype=np.float64)
+    if given.ndim not in (2, 3):
+        raise ValueError(f"an image needs the shape (nx, ny) or (nx, ny, nz), not {given.shape}")
+    size, start = _checked(given.ndim, spacing, origin)
+    lowest, highest = given.min(initial=np.inf), given.max(initial=-np.inf)
+    if not np.isfinite(given).all() or not lowest < level < highest:
+        raise ValueError(
+            f"the level {level} must be between the finite values of an image, which are {lowest} "
+            f"to {highest}"
+        )
+    padded = np.pad(given, 1, constant_values=lowest) - level
+    least = _FROM_LEVEL * (highest - lowest)
+    padded = np.where(np.abs(padded) < least, np.where(padded < 0.0, -least, least), padded)
+    first = start - 0.5 * size  # centre of the first voxel that was added
+    return Solid(_lines(padded) * size + first) if given.ndim == 2 else _level(padded, size, first)
+
+
+def _checked(
+    d: int, spacing: float | npt.ArrayLike, origin: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Spacing and origin as arrays (d,)."""
+    size, start = (np.asarray(each, dtype=np.float64) for each in (spacing, origin))
+    if size.shape not in ((), (d,)) or start.shape not in ((), (d,)):
+        raise ValueError(
+            f"spacing and origin of an image need 1 or {d} numbers, not {spacing!r} and {origin!r}"
+        )
+    if not np.all((size > 0.0) & (size < np.inf)):
+        raise ValueError(f"the spacing of an image must be positive, not {spacing!r}")
+    return np.broadcast_to(size, d), np.broadcast_to(start, d)
+
+
+def _lines(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Segments (n, 2, 2) of the level 0, in units of pixels."""
+    from contourpy import LineType, contour_generator
+
+    # contourpy has the second coordinate first
+    generator = contour_generator(z=values.T, line_type=LineType.Separate)
+    lines = [np.asarray(line, dtype=np.float64) for line in generator.lines(0.0)]
+    return np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+
+
+def _level(
+    values: npt.NDArray[np.float64], size: npt.NDArray[np.float64], first: npt.NDArray[np.float64]
+) -> Solid:
+    """The level 0 in space."""
+    import pyvista
+
+    grid = pyvista.ImageData(dimensions=values.shape)
+    grid.point_data["values"] = values.ravel(order="F")
+    found = grid.contour([0.0], scalars="values", method="flying_edges", compute_normals=False)
+    triangles = found.faces.reshape(-1, 4)[:, 1:]
+    return surface(np.asarray(found.points, dtype=np.float64) * size + first, triangles)
