@@ -10,7 +10,7 @@ explicit material point methods".
 The clay obeys Hencky's elasticity and von Mises' plasticity, whose yield stress is sqrt(3) times
 the shear strength in plane strain. Stresses are found from averages of J, as in
 ``cooks_membrane_explicit.py``; for a law that flows, the true J is drawn to its average, too. Only
-the half beside the axis of symmetry is there. The footing is a rigid box, which pushes points by a
+the half beside the axis of symmetry is there. The footing is a rigid body, which pushes points by a
 barrier; friction holds what touches it. It moves slowly, and a little local damping takes the waves
 that it makes.
 
@@ -25,7 +25,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import mesh
 
-from fenicsmpm import ExplicitMPM, RigidBox, basis, formulations, io, points
+from fenicsmpm import ExplicitMPM, RigidBody, basis, formulations, io, points, shapes
 from fenicsmpm.materials import VonMises
 
 B, CELLS, SIZE = 1.0, 10, 4  # m; cells along B; depth and width of the ground in B
@@ -51,8 +51,8 @@ for name, averages in AVERAGES.items():
     z.fix("v", lambda x: np.isclose(x[0], 0) | np.isclose(x[0], top), component=0)
     z.fix("v", lambda x: np.isclose(x[1], 0), component=1)
     # its lower face is half a point's distance above the highest points
-    footing = RigidBox(
-        lower=(-B, top), upper=(B / 2, math.inf), reach=h / 4, velocity=(0.0, -speed),
+    footing = RigidBody(
+        shapes.Box((-B, top), (B / 2, math.inf)), reach=h / 4, velocity=(0.0, -speed),
         friction=math.inf,
     )  # fmt: skip
     R = formulations.internal_force(z.test.v, ground, CLAY, fbar=averages)

@@ -16,6 +16,7 @@ from fenicsmpm import (
     io,
     materials,
     points,
+    rigid,
     shapes,
     simulation,
     solvers,
@@ -23,7 +24,8 @@ from fenicsmpm import (
     verification,
 )
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, RigidBox, UnstableError
+from fenicsmpm.rigid import RigidBody
+from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, UnstableError
 
 __version__ = "0.1.0"
 
@@ -31,7 +33,7 @@ __all__ = [
     "ExplicitMPM",
     "ImplicitMPM",
     "MaterialPoints",
-    "RigidBox",
+    "RigidBody",
     "UnstableError",
     "basis",
     "cells",
@@ -41,6 +43,7 @@ __all__ = [
     "io",
     "materials",
     "points",
+    "rigid",
     "shapes",
     "simulation",
     "solvers",

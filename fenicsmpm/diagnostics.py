@@ -108,13 +108,37 @@ def resultant(z: Unknown, form: ufl.Form) -> npt.NDArray[np.float64]:
     Returns:
         [N], shape (d,); per thickness in the plane.
     """
+    return z.mesh.comm.allreduce(_nodal_forces(z, form).sum(axis=0))
+
+
+def torque(z: Unknown, form: ufl.Form) -> float | npt.NDArray[np.float64]:
+    """Moment about the origin of what terms of a residual exert on the body (collective).
+
+    Forces act where the points are after a motion u; otherwise as ``resultant``.
+
+    Args:
+        z: unknown with a displacement or velocity in linear functions or B-splines.
+        form: terms of its residual, UFL of rank 1.
+
+    Returns:
+        [N m], a number in the plane (per thickness), shape (3,) in space.
+    """
+    f = _nodal_forces(z, form)
+    name = "v" if "v" in z else "u"
+    x = z.part_space(name).tabulate_dof_coordinates()[: len(f), : z.mesh.geometry.dim].copy()
+    if name == "u":
+        x += z.U.x.array[z.dofs(name)[: f.size]].reshape(f.shape)
+    return z.mesh.comm.allreduce(moment(x, f))
+
+
+def _nodal_forces(z: Unknown, form: ufl.Form) -> npt.NDArray[np.float64]:
+    """Minus a form at the nodes of this rank, ``(n, d)`` [N]."""
     name = "v" if "v" in z else "u"
     b = forms.assemble_vector(forms.form(form))
     b.scatter_reverse(la.InsertMode.add)
     space = z.part_space(name)
     owned = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
-    sums = b.array[z.dofs(name)[:owned]].reshape(-1, z.mesh.geometry.dim).sum(axis=0)
-    return -z.mesh.comm.allreduce(sums)
+    return -b.array[z.dofs(name)[:owned]].reshape(-1, z.mesh.geometry.dim)
 
 
 def mean_stress(sigma: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -17,7 +17,7 @@ import typer
 from dolfinx import mesh
 from dolfinx.mesh import CellType, DiagonalType
 
-from fenicsmpm import ExplicitMPM, RigidBox, UnstableError, basis, io, points
+from fenicsmpm import ExplicitMPM, RigidBody, UnstableError, basis, io, points, shapes
 from fenicsmpm import formulations as fm
 from fenicsmpm.diagnostics import mean_stress, probe, roughness
 from fenicsmpm.materials import NeoHookean, NewtonianFluid, VonMises
@@ -134,7 +134,7 @@ def strip(functions, averages, cells, size=6, settlement=0.004):
     seen(ground, functions, h / 2, 1000.0)
     down = 1e-5 * math.sqrt(clay.wave_speed_modulus / 1000.0)  # m/s
     ends = (-1.0, size), (0.5, math.inf)
-    box = RigidBox(*ends, reach=h / 4, velocity=(0.0, -down), friction=math.inf)
+    box = RigidBody(shapes.Box(*ends), reach=h / 4, velocity=(0.0, -down), friction=math.inf)
     R = fm.internal_force(z.test.v, ground, clay, fbar=averages)
     history = io.History({"load": lambda sim: -box.force[1] / 50})
     sim = ExplicitMPM(R, z, ground, damping=0.002, rigid=[box], observers=[history])

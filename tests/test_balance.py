@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from dolfinx import mesh
 
-from fenicsmpm import ExplicitMPM, ImplicitMPM, RigidBox, _compat, basis, io
+from fenicsmpm import ExplicitMPM, ImplicitMPM, RigidBody, _compat, basis, io, shapes
 from fenicsmpm import formulations as fm
 from fenicsmpm.basis.bisection import bisect
 from fenicsmpm.cells import ActiveCells, Tying
@@ -300,7 +300,7 @@ def by_forms(domain):
 def pushed(domain):
     """A block on a lattice that a rigid box pushes."""
     body = rubber(domain, lambda x: (abs(x[0] - 1.2) < 0.3) & (abs(x[1] - 0.9) < 0.4))
-    box = RigidBox([0.5, 0.2], [0.93, 1.6], reach=0.05, velocity=(1.0, 0.0))
+    box = RigidBody(shapes.Box([0.5, 0.2], [0.93, 1.6]), reach=0.05, velocity=(1.0, 0.0))
     z = fm.Unknown(domain, "v")
     return ExplicitMPM(
         fm.internal_force(z.test.v, body, Hencky(250.0, 0.3)), z, body, dt=2e-3, rigid=[box]

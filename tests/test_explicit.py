@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem, mesh
 from explicit_runs import simulate
 
-from fenicsmpm import ExplicitMPM, RigidBox, UnstableError, basis, formulations, io, points
+from fenicsmpm import ExplicitMPM, RigidBody, UnstableError, basis, formulations, io, points, shapes
 from fenicsmpm.diagnostics import mean_stress, momentum, roughness
 from fenicsmpm.materials import (
     Hencky,
@@ -234,7 +234,7 @@ def test_a_rigid_box_is_not_entered(speed, dim):
     top = centre[-1] - 0.21
     lower, upper = np.full(dim, -np.inf), np.full(dim, np.inf)
     upper[-1] = top
-    floor = RigidBox(lower, upper, reach=0.02)
+    floor = RigidBody(shapes.Box(lower, upper), reach=0.02)
     sim = simulate(V, {body: RUBBER}, rigid=[floor], dt=2e-4 if speed > 1 else None)
     before, impulse = momentum(body), np.zeros(dim)
     for _ in range(20 if speed > 1 else 60):
@@ -254,8 +254,11 @@ def test_friction_of_a_rigid_box(friction):
     """A block that slides on a moving floor: without slip it goes with it."""
     body, V, centre = block(2)
     upper = np.array([np.inf, centre[1] - 0.2])
-    floor = RigidBox(
-        [-np.inf, -np.inf], upper, reach=0.02, velocity=lambda t: (0.3, 0.0), friction=friction
+    floor = RigidBody(
+        shapes.Box([-np.inf, -np.inf], upper),
+        reach=0.02,
+        velocity=lambda t: (0.3, 0.0),
+        friction=friction,
     )
     sim = simulate(V, {body: RUBBER}, rigid=[floor], gravity=(0.0, -2.0), flip=0.95, fbar=None)
     normal, tangential = 0.0, 0.0
@@ -273,16 +276,6 @@ def test_friction_of_a_rigid_box(friction):
         assert tangential == pytest.approx(friction * normal, rel=0.3)
     else:
         assert v == pytest.approx(0.3, abs=0.15)
-
-
-def test_wrong_boxes():
-    for arguments, message in (
-        (((1, 0), (0, 1), 0.1), "wrong order"),
-        (((0, 0), (1, 1), 0.0), "positive reach"),
-        (((0, 0), (1, 1), 0.1, 0.0, -1.0), "no negative friction"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            RigidBox(*arguments)
 
 
 @compiled

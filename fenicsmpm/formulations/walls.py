@@ -10,20 +10,22 @@ import numpy as np
 import ufl
 
 from fenicsmpm.formulations.boundary import modulus_of, motion_of, require_points
+from fenicsmpm.formulations.rigid_gap import RigidGap
 from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.rigid import RigidBody
 
 
 def wall(
     z: Unknown,
     points: MaterialPoints,
     material: NeoHookean | Hencky | float,
-    distance: Callable[[Any], Any],
+    distance: Callable[[Any], Any] | RigidBody,
     *,
     factor: float = 30.0,
-    friction: float = 0.0,
+    friction: float | None = None,
     two_sided: bool = False,
 ) -> ufl.Form:
     """Contact of boundary points with a rigid wall, by a penalty on how deep they are in it.
@@ -44,9 +46,12 @@ def wall(
             whose equations hold at the end or at the beginning of a step.
         material: law of the body with E, or a modulus E [Pa].
         distance: from the position of a point, a UFL vector [m], to its distance from the wall, a
-            UFL scalar [m], positive outside. A ``fem.Constant`` in it moves the wall.
+            UFL scalar [m], positive outside. A ``fem.Constant`` in it moves the wall. Or a rigid
+            body, fixed or with a prescribed motion; ``ImplicitMPM`` moves it, and points stick to
+            what moves. Its reach and stiffness do not matter. Explicit steps take rigid bodies by
+            themselves.
         factor: of the penalty [-].
-        friction: Coulomb's coefficient [-].
+        friction: Coulomb's coefficient [-]; None for that of the rigid body, or none.
         two_sided: whether the wall holds points on both sides: they slide along it.
 
     Returns:
@@ -55,27 +60,57 @@ def wall(
     Raises:
         ValueError: for no points at all, a modulus or factor that is not positive and finite, a
             coefficient of friction that is negative, friction at a two-sided wall, whose pressure
-            has no sign, or a distance that is no scalar.
+            has no sign, a distance that is no scalar, or a rigid body that is free, or in explicit
+            steps.
     """
     u, w = motion_of(z, "a wall")
     require_points(points, "a wall")
     stiffness = factor * modulus_of(material, factor) / element_size(points)
+    gap: Callable[[Any], Callable[[Any], Any]]
+    if isinstance(distance, RigidBody):
+        rigid = distance
+        _require_prescribed(z, rigid)
+        friction = rigid.friction if friction is None else friction
+
+        def gap(u: Any) -> RigidGap:
+            return RigidGap(points, u, rigid)
+    else:
+
+        def gap(u: Any) -> Callable[[Any], Any]:
+            return distance
+
+    friction = 0.0 if friction is None else friction
     if not 0 <= friction < np.inf:
         raise ValueError(f"a coefficient of friction is finite and not negative: {friction}")
     if friction > 0 and two_sided:
         raise ValueError("friction needs a pressure: a wall that also pulls has none")
-    depth, normal = _depth(points, u, distance, two_sided)
+    now = gap(u)
+    depth, normal = _depth(points, u, now, two_sided)
     give_way = depth * normal
     if friction > 0:
         if "slip" not in points:
             points.add_field("slip", (points.mesh.geometry.dim,))
 
-        def slip(u: Any) -> Any:
-            return _slip(points, u, friction, *_depth(points, u, distance, two_sided))
+        def slip(u: Any, d: Any) -> Any:
+            way = u - d.way if isinstance(d, RigidGap) else u
+            return _slip(points, way, friction, *_depth(points, u, d, two_sided))
 
-        points.field("slip").renew(lambda k: slip(k.u))
-        give_way -= slip(u)
+        points.field("slip").renew(lambda k: slip(k.u, gap(k.u)))
+        give_way -= slip(u, now)
     return -stiffness * ufl.inner(give_way, w) * points.dx
+
+
+def _require_prescribed(z: Unknown, rigid: RigidBody) -> None:
+    """Raise ValueError for a rigid body that a form cannot move."""
+    if z.moving is None:
+        raise ValueError(
+            f"explicit steps take the rigid body {rigid.name} by ExplicitMPM(.., rigid=[..])"
+        )
+    if rigid.is_free:
+        raise ValueError(
+            f"the rigid body {rigid.name} is free: implicit steps take fixed bodies and prescribed "
+            "motions, explicit ones move free bodies"
+        )
 
 
 def _depth(
@@ -90,7 +125,7 @@ def _depth(
 
 
 def _slip(points: MaterialPoints, u: Any, friction: float, depth: Any, normal: Any) -> Any:
-    """Elastic part of the way along the wall after a motion u, at most as long as friction lets."""
+    """Elastic part of the way u along the wall, at most as long as friction lets."""
     trial = points.field("slip") + u
     trial -= ufl.dot(trial, normal) * normal
     length = ufl.sqrt(ufl.inner(trial, trial) + (_SMALL * element_size(points)) ** 2)

@@ -1,10 +1,22 @@
 # SPDX-License-Identifier: MIT
 """Solids by their boundaries, as predicates and signed distances; knows no mesh and no ranks."""
 
+from fenicsmpm.shapes.box import Box
 from fenicsmpm.shapes.fractions import fractions
 from fenicsmpm.shapes.polygon import polygon
+from fenicsmpm.shapes.signed_distance import SignedDistance
 from fenicsmpm.shapes.solid import Solid
 from fenicsmpm.shapes.surface import OpenSurfaceError, surface
 from fenicsmpm.shapes.voxels import contour, mask
 
-__all__ = ["OpenSurfaceError", "Solid", "contour", "fractions", "mask", "polygon", "surface"]
+__all__ = [
+    "Box",
+    "OpenSurfaceError",
+    "SignedDistance",
+    "Solid",
+    "contour",
+    "fractions",
+    "mask",
+    "polygon",
+    "surface",
+]

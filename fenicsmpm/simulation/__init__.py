@@ -8,7 +8,6 @@ from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.reaction import Reaction
 from fenicsmpm.simulation.rebalanced import Rebalanced, imbalance
 from fenicsmpm.simulation.resultant import Resultant
-from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.staging import Exchange, add_points, remove_points
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.throughflow import Sink, Source
@@ -24,7 +23,6 @@ __all__ = [
     "Reaction",
     "Rebalanced",
     "Resultant",
-    "RigidBox",
     "Sink",
     "Source",
     "Step",

@@ -24,10 +24,12 @@ from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
+from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
     check_bodies,
     check_functions,
+    check_rigid,
     check_space,
 )
 from fenicsmpm.simulation.explicit_on_lattice import OnLattice
@@ -35,7 +37,7 @@ from fenicsmpm.simulation.observer import Observers, Watcher
 from fenicsmpm.simulation.parameters import of_points
 from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.residual import Residual
-from fenicsmpm.simulation.rigid_box import RigidBox
+from fenicsmpm.simulation.rigid_state import memory_of, remember, slip_on
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.unstable import UnstableError
 from fenicsmpm.solvers.checks import check_bcs, require_points
@@ -75,7 +77,8 @@ class ExplicitMPM:
         cfl: time step times wave speed per cell size.
         flip: share of FLIP in velocities, the rest is PIC (eq. 13).
         damping: share of local damping, for static problems.
-        rigid: boxes that bodies cannot enter.
+        rigid: rigid bodies, which points cannot enter. With friction, points get a field for their
+            slip on each.
         observers: called around the steps that are yielded, in their order: ``Observer``s, or
             functions of the simulation and the ``Step``.
 
@@ -89,7 +92,7 @@ class ExplicitMPM:
         laws: law at the points of each body that has one; may be replaced by one of the same kind
             with other parameters.
         bcs: may be changed between steps, as may flip, damping and data.
-        rigid: boxes.
+        rigid: rigid bodies.
         reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
         duration: dt as a constant for UFL, such as that of ``updates`` [s].
         seconds: time spent in each stage so far [s].
@@ -115,7 +118,7 @@ class ExplicitMPM:
         cfl: float = 0.4,
         flip: float = 1.0,
         damping: float = 0.0,
-        rigid: Sequence[RigidBox] = (),
+        rigid: Sequence[RigidBody] = (),
         observers: Sequence[Watcher] = (),
     ) -> None:
         """Check and compile everything (collective)."""
@@ -142,8 +145,11 @@ class ExplicitMPM:
         for points in self.carried:
             if "u" not in points:
                 points.add_field("u", (V.mesh.geometry.dim,))
-        if any(len(box.force) != V.mesh.geometry.dim for box in rigid):
-            raise ValueError(f"a rigid box needs corners of {V.mesh.geometry.dim} numbers here")
+        check_rigid(rigid, V.mesh.geometry.dim)
+        for k, rigid_body in enumerate(rigid):
+            for body in self.bodies if rigid_body.friction > 0 else ():
+                if slip_on(k) not in body:
+                    body.add_field(slip_on(k), (2, rigid_body.dim))
         self._fixed = unknown.bcs
         self.bcs, self.rigid = [*self._fixed, *bcs], list(rigid)
         self.data = data
@@ -301,9 +307,14 @@ class ExplicitMPM:
 
     @property
     def method(self) -> str:
-        """Name of the method, with the number of boxes, whose ways are in ``memory``."""
-        boxes = f" with {len(self.rigid)} rigid boxes" if self.rigid else ""
-        return type(self).__name__ + boxes
+        """Name of the method, with the number of rigid bodies, whose states are in ``memory``."""
+        bodies = f" with {len(self.rigid)} rigid bodies" if self.rigid else ""
+        return type(self).__name__ + bodies
+
+    @property
+    def slips(self) -> list[str]:
+        """Fields of the bodies' elastic slip on rigid bodies with friction."""
+        return [slip_on(k) for k, rigid in enumerate(self.rigid) if rigid.friction > 0]
 
     @property
     def parameters(self) -> dict[str, str]:
@@ -313,23 +324,18 @@ class ExplicitMPM:
             if body in self.laws:
                 said[f"law of body {k}"] = repr(self.laws[body])
                 said[f"averages of body {k}"] = repr(self.residual.averages.get(body))
+        said |= {f"rigid body {k}": repr(body) for k, body in enumerate(self.rigid)}
         return {**said, **of_points([*self.bodies, *self.carried])}
 
     @property
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points, for checkpoints."""
-        ways = {
-            f"box {i} moved {k}": float(way)
-            for i, box in enumerate(self.rigid)
-            for k, way in enumerate(box.moved)
-        }
-        return {**self._way.memory, **ways}
+        return {**self._way.memory, **memory_of(self.rigid)}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         self._way.memory = dict(values)
-        for i, box in enumerate(self.rigid):
-            box.moved = np.array([values[f"box {i} moved {k}"] for k in range(len(box.moved))])
+        remember(self.rigid, dict(values))
 
     # --- time step -----------------------------------------------------------------------------
 
@@ -378,10 +384,10 @@ class ExplicitMPM:
     def _hint(self) -> str:
         """What may have made points unstable."""
         hints = [
-            f"the rigid box {box.lower} ... {box.upper} pushed with {box.force} N: give it a larger"
-            " reach or a lower stiffness, or begin further away from it"
-            for box in self.rigid
-            if np.any(box.force)
+            f"the rigid body {body.name} pushed with {body.force} N: give it a larger reach or a "
+            "lower stiffness, or begin further away from it"
+            for body in self.rigid
+            if np.any(body.force)
         ]
         if self.dt > self._stable:
             hints.append("the step is longer than that: take smaller ones")

@@ -6,7 +6,7 @@ What the fused kernels on lattices do in fewer passes over the points is said he
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -28,6 +28,8 @@ from fenicsmpm.formulations.kinematics import embed
 from fenicsmpm.materials import Law, state_of, stress
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
+from fenicsmpm.rigid.body import TOTALS
+from fenicsmpm.simulation.rigid_state import slip_on
 from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.contact import keep_points_out, push_points
@@ -219,7 +221,7 @@ class ByForms:
         """
         sim = self._sim
         moving = [*sim.bodies, *sim.carried]
-        ways = [box.moved for box in sim.rigid]
+        states = [body.state for body in sim.rigid]
         held = dict(sim.exits.held)
         before = [(points, points.snapshot(copy=False), points.size_global) for points in moving]
         try:
@@ -228,8 +230,8 @@ class ByForms:
             for points, arrays, size_global in before:
                 points.restore(arrays, size_global)
             sim.exits.held = held
-            for box, way in zip(sim.rigid, ways, strict=True):
-                box.moved = way
+            for rigid, state in zip(sim.rigid, states, strict=True):
+                rigid.state = state
             raise
 
     def _step(self) -> int:
@@ -239,14 +241,13 @@ class ByForms:
         with clock("P2G"):
             self._points_to_grid()
         with clock("forces"):
-            velocities = [box.velocity_at(sim.time) for box in sim.rigid]
             self._forces()
-            self._push(velocities)
+            slips = self._push()
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):
-            new = {body.points: body.moved() for body in self._bodies}
-            self._hold_back(velocities, new)
+            new = {body.points: body.moved() | slips[body.points] for body in self._bodies}
+            self._hold_back(new)
         if self._maps_back:
             with clock("P2G"):
                 self._map_back(new)
@@ -300,39 +301,50 @@ class ByForms:
             total -= force.array
         force.array[:] = total
 
-    def _push(self, velocities: Sequence[Array]) -> None:
-        """Contact forces of rigid boxes, to the nodes."""
+    def _push(self) -> dict[MaterialPoints, dict[str, Array]]:
+        """Contact forces of rigid bodies, to the nodes; elastic slips of points on them."""
         sim, messages = self._sim, []
-        for box, velocity in zip(sim.rigid, velocities, strict=True):
-            box.force = np.zeros_like(box.force)
+        slips = {body: {name: body[name].copy() for name in sim.slips} for body in sim.bodies}
+        self._pushed = np.zeros((len(sim.rigid), TOTALS))
+        for k, rigid in enumerate(sim.rigid):
+            rigid.begin(sim.time)
             for body in sim.bodies:
+                slip = self._slip(slips[body], k)
                 forces, bad = push_points(
-                    body.x, body["v"], body["mass"], box.lower, box.upper, velocity, box.reach,
-                    box.stiffness, box.friction, sim.dt,
+                    body.x, body["v"], slip, body["mass"], rigid.contact(), sim.dt,
+                    self._pushed[k],
                 )  # fmt: skip
                 if bad >= 0:
-                    messages.append(f"a point is inside of the box {box.lower} ... {box.upper}")
-                box.force += forces.sum(axis=0)
+                    messages.append(f"a point is inside of the rigid body {rigid.name}")
                 self._force.array[:] += p2g(body, forces, self._V).array
         if sim.rigid:
             sim.raise_if(messages)
+            self._V.mesh.comm.Allreduce(MPI.IN_PLACE, self._pushed, MPI.SUM)
+        return slips
 
-    def _hold_back(
-        self, velocities: Sequence[Array], new: Mapping[MaterialPoints, dict[str, Array]]
-    ) -> None:
-        """Move rigid boxes, and keep points out of them."""
-        sim, comm = self._sim, self._V.mesh.comm
-        for box, velocity in zip(sim.rigid, velocities, strict=True):
-            box.moved = box.moved + sim.dt * velocity
+    def _hold_back(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> None:
+        """Move rigid bodies, and keep points out of them."""
+        sim, held = self._sim, np.zeros((len(self._sim.rigid), TOTALS))
+        for k, rigid in enumerate(sim.rigid):
+            rigid.move(sim.time, sim.dt, self._pushed[k])
+            contact = rigid.contact()
             for body, fields in new.items():
                 x_next = fields["x"]
                 free = x_next.copy()
-                box.force += keep_points_out(
-                    x_next, fields["v"], body["mass"], box.lower, box.upper, velocity, box.reach,
-                    sim.dt,
+                keep_points_out(
+                    body.x, x_next, fields["v"], self._slip(fields, k),
+                    body["mass"], contact, sim.dt, held[k],
                 )  # fmt: skip
                 fields["u"] += x_next - free
-            box.force = comm.allreduce(box.force)
+        if sim.rigid:
+            self._V.mesh.comm.Allreduce(MPI.IN_PLACE, held, MPI.SUM)
+        for rigid, total in zip(sim.rigid, held, strict=True):
+            rigid.end(sim.dt, total)
+
+    def _slip(self, fields: Mapping[str, Array], number: int) -> Array:
+        """Slip on a rigid body ``(n, 2 d)``, of no points without friction."""
+        slip = fields.get(slip_on(number), np.empty((0, 2, self._dim)))
+        return slip.reshape(len(slip), 2 * self._dim)
 
     def _move_nodes(self) -> None:
         """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""

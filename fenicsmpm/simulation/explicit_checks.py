@@ -9,6 +9,7 @@ from dolfinx import fem
 
 from fenicsmpm.basis import functions_of, is_linear
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.rigid import RigidBody
 from fenicsmpm.solvers.checks import require_points
 
 _NEEDED = ("mass", "V_0", "F", "J", "u", "v")
@@ -69,3 +70,14 @@ def check_functions(sets: Sequence[MaterialPoints]) -> None:
             f"points that see different grid functions: {', '.join(sorted(names))}. Bodies and "
             "carried points need the same, see basis.use"
         )
+
+
+def check_rigid(rigid: Sequence[RigidBody], dim: int) -> None:
+    """Raise ValueError for rigid bodies of another dimension, or one that is given twice."""
+    for body in rigid:
+        if body.dim != dim:
+            raise ValueError(
+                f"the rigid body {body.name} has {body.dim} dimensions, the mesh has {dim}"
+            )
+    if len({id(body) for body in rigid}) < len(rigid):
+        raise ValueError("a rigid body is given twice")

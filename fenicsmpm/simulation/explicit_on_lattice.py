@@ -18,7 +18,9 @@ from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.location import locator
+from fenicsmpm.rigid.body import TOTALS
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
+from fenicsmpm.simulation.rigid_state import slip_on
 
 if TYPE_CHECKING:
     from fenicsmpm.simulation.explicit import ExplicitMPM
@@ -132,9 +134,9 @@ class OnLattice:
         sim = self._sim
         points = [*sim.bodies, *sim.carried]
         self._before = [(p, p.snapshot(copy=False), p.size_global) for p in points]
-        self._mark = sim.time, sim.number, [box.moved for box in sim.rigid], self._unsorted
+        self._mark = sim.time, sim.number, [body.state for body in sim.rigid], self._unsorted
         self._laws, self._bcs = dict(sim.laws), list(sim.bcs)
-        self._engine.begin(sim.laws, sim.bcs)
+        self._engine.begin(sim.laws, sim.bcs, sim.slips)
         self.is_open, self._count = True, 0
 
     def _not_plane(self) -> ValueError | None:
@@ -178,9 +180,9 @@ class OnLattice:
         self.is_open = False
         for points, arrays, size_global in self._before:
             points.restore(arrays, size_global)
-        sim.time, sim.number, ways, self._unsorted = self._mark
-        for box, way in zip(sim.rigid, ways, strict=True):
-            box.moved = way
+        sim.time, sim.number, states, self._unsorted = self._mark
+        for body, state in zip(sim.rigid, states, strict=True):
+            body.state = state
 
     def settle(self) -> None:
         """Bring all points up to date, and end the block of steps (collective)."""
@@ -197,12 +199,13 @@ class OnLattice:
         sim, engine, dt, clock = self._sim, self._engine, self._sim.dt, self._sim.seconds
         if sim.has_data or keep:
             engine.read_supports()
-        velocities = [box.velocity_at(sim.time) for box in sim.rigid]
+        for body in sim.rigid:
+            body.begin(sim.time)
+        pushed, held = (np.zeros((len(sim.rigid), TOTALS)) for _ in range(2))
         messages = []
         with clock("P2G"):
-            for box, velocity in zip(sim.rigid, velocities, strict=True):
-                box.force = np.zeros_like(box.force)
-                messages += engine.push(box, velocity, dt)
+            for k, body in enumerate(sim.rigid):
+                messages += engine.push(slip_on(k), body, dt, pushed[k])
             engine.sum_nodes(sim.residual.gravity)
         with clock("forces"):
             engine.relieve_light_nodes()
@@ -212,12 +215,14 @@ class OnLattice:
             messages += engine.move_loads(dt)
         with clock("G2P"):
             messages += engine.gather(dt, sim.flip)
-            for box, velocity in zip(sim.rigid, velocities, strict=True):
-                box.moved = box.moved + dt * velocity
-                messages += engine.hold_back(box, velocity, dt)
+            if sim.rigid:
+                sim.velocity.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, pushed, MPI.SUM)
+            for k, body in enumerate(sim.rigid):
+                body.move(sim.time, dt, pushed[k])
+                messages += engine.hold_back(slip_on(k), body, dt, held[k])
             messages += engine.deform(dt)
         with clock("grid"):
-            anew = self._agree(messages, reaction)
+            anew = self._agree(messages, reaction, held)
             if keep:
                 self._write_nodes()
                 self._support_forces = engine.support_forces()
@@ -289,7 +294,7 @@ class OnLattice:
             else:
                 self._last[name] = engine.keep(column), factor
 
-    def _agree(self, messages: list[str], reaction: Array) -> bool:
+    def _agree(self, messages: list[str], reaction: Array, held: Array) -> bool:
         """Sum up over ranks what each has found in a step (collective).
 
         Returns:
@@ -298,16 +303,14 @@ class OnLattice:
         sim, strays = self._sim, self._engine.strays
         comm, failed = sim.velocity.function_space.mesh.comm, len(messages) > 0
         if comm.size > 1:
-            forces = [box.force for box in sim.rigid]
-            mine = np.concatenate([[float(failed), float(strays)], reaction, *forces])
+            mine = np.concatenate([[float(failed), float(strays)], reaction, held.ravel()])
             comm.Allreduce(MPI.IN_PLACE, mine, MPI.SUM)
             failed, strays = mine[0] > 0, mine[1] > 0
-            reaction_sum, *box_sums = np.split(mine[2:], np.cumsum([3, *map(len, forces)])[:-1])
-            reaction = reaction_sum
-            for box, force in zip(sim.rigid, box_sums, strict=True):
-                box.force = force.copy()
+            reaction, held = mine[2:5], mine[5:].reshape(held.shape)
         if failed:
             sim.raise_if(messages)
+        for k, body in enumerate(sim.rigid):
+            body.end(sim.dt, held[k])
         sim.reaction = reaction[: self._dim].copy()
         return bool(strays)
 

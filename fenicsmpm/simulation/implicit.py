@@ -29,6 +29,7 @@ from fenicsmpm.points.point_field import ComputedField
 from fenicsmpm.simulation.observer import Observers, Watcher
 from fenicsmpm.simulation.parameters import of_points, of_residual
 from fenicsmpm.simulation.renewals import check_updates, renewals
+from fenicsmpm.simulation.rigid_state import memory_of, remember, rigid_bodies_in
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.solvers import (
     EffectiveProjection,
@@ -86,6 +87,7 @@ class ImplicitMPM:
             tied nodes of other bodies, or another ``on_exit``.
 
     Attributes:
+        rigid: rigid bodies in the residual.
         time: [s].
         number: of steps done.
         laws: law at the points of each body that has one in the residual.
@@ -126,6 +128,7 @@ class ImplicitMPM:
         self._fixed = unknown.bcs
         self.newton = NewtonSolver(R, unknown.U, [*self._fixed, *bcs], **(newton or {}))
         self._described = of_residual(R)
+        self.rigid = rigid_bodies_in(R)
         self.laws: dict[MaterialPoints, Law] = {
             field.points: field.source
             for field in all_coefficients(R)
@@ -299,6 +302,9 @@ class ImplicitMPM:
         for name, seconds in result.seconds.items():
             clock.add(name, seconds)
         self.scheme.end()
+        for body in self.rigid:
+            body.carry(self.time, self.time + dt)
+            body.settle()
         self.time += dt
         self.number += 1
         step = Step(self.number, self.time, dt, result, removed=removed)
@@ -386,13 +392,14 @@ class ImplicitMPM:
     def memory(self) -> dict[str, float]:
         """What the next step depends on, beside the points, for checkpoints."""
         dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt, "longest": self._dt}
-        return {**dt, **self.scheme.memory}
+        return {**dt, **self.scheme.memory, **memory_of(self.rigid)}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         rest = dict(values)
         self.scheme.dt.value, self.next_dt = rest.pop("dt"), rest.pop("next_dt")
         self._dt = rest.pop("longest")
+        remember(self.rigid, rest)
         self.scheme.memory = rest
 
     def _snapshot(self) -> Any:
@@ -411,6 +418,8 @@ class ImplicitMPM:
         """Set boundary values, and what the user sets, for a motion of some length [s]."""
         self.unknown.require_conditions(self._fixed)
         self.unknown.set_conditions(self.time, self.time + length)
+        for body in self.rigid:
+            body.carry(self.time, self.time + length)
         if self.data is not None:
             self.data(self.time, self.time + length)
 

@@ -19,10 +19,10 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation.lattice_carried import Carried
 from fenicsmpm.simulation.lattice_parts import Part
 from fenicsmpm.simulation.lattice_supports import Supports
-from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.light_nodes import LIGHT, LIGHT_FOR_LOADS
@@ -85,12 +85,18 @@ class LatticeEngine:
 
     # --- a block of steps --------------------------------------------------------------------
 
-    def begin(self, laws: Mapping[MaterialPoints, Law], bcs: Sequence[fem.DirichletBC]) -> None:
+    def begin(
+        self,
+        laws: Mapping[MaterialPoints, Law],
+        bcs: Sequence[fem.DirichletBC],
+        slips: Sequence[str],
+    ) -> None:
         """Take working copies of the points, and add them to the nodes (collective).
 
         Args:
             laws: of the bodies, of the kinds that they had, with other parameters if wanted.
             bcs: Dirichlet conditions on velocities.
+            slips: names of the bodies' fields of elastic slip on rigid bodies.
         """
         self._supports = Supports(self._V, bcs, self._numbers)
         for load in self.carried:
@@ -99,7 +105,7 @@ class LatticeEngine:
             part.drop()
         self._sort()
         for part in self.parts:
-            part.begin(laws[part.points])
+            part.begin(laws[part.points], slips)
         self._lay()
 
     def _sort(self) -> None:
@@ -179,19 +185,21 @@ class LatticeEngine:
         """What finds the forces of Dirichlet conditions in this step (collective, when called)."""
         return self._supports.forces_at_dofs()
 
-    def push(self, box: RigidBox, velocity: Array, dt: float) -> list[str]:
-        """Contact forces of a rigid box to the nodes, and their sum to the box, on this rank.
+    def push(self, slip: str, rigid: RigidBody, dt: float, total: Array) -> list[str]:
+        """Contact forces of a rigid body to the nodes, and to totals, on this rank.
+
+        Args:
+            slip: name of the field of elastic slip on it.
+            rigid: the body.
+            dt: time step [s].
+            total: ``(8,)``, see `fenicsmpm.transfer.contact`.
 
         Returns:
             What is wrong, on this rank.
         """
-        messages = []
-        for part in self.parts:
-            force, bad = part.push(box, velocity, dt)
-            box.force += force
-            if bad >= 0:
-                messages.append(f"a point is inside of the box {box.lower} ... {box.upper}")
-        return messages
+        contact = rigid.contact()
+        bad = [part.push(slip, contact, dt, total) for part in self.parts]
+        return [f"a point is inside of the rigid body {rigid.name}"] if max(bad) >= 0 else []
 
     def sum_nodes(self, gravity: Mapping[MaterialPoints, fem.Constant]) -> None:
         """Mass, momentum, internal force and weight of all bodies on all ranks (collective).
@@ -326,16 +334,15 @@ class LatticeEngine:
                 messages.append(part.describe(bad))
         return messages
 
-    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> list[str]:
-        """Keep points out of a rigid box; the force that this takes to the box, on this rank.
+    def hold_back(self, slip: str, rigid: RigidBody, dt: float, total: Array) -> list[str]:
+        """Keep points out of a rigid body at its new place, on this rank, see ``push``.
 
         Returns:
             What is wrong, on this rank.
         """
-        messages = []
+        messages, contact = [], rigid.contact()
         for part in self.parts:
-            force, bad, strays = part.hold_back(box, velocity, dt)
-            box.force += force
+            bad, strays = part.hold_back(slip, contact, dt, total)
             self._strays |= strays
             if bad >= 0:
                 messages.append(part.describe(bad))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
@@ -20,8 +20,8 @@ from fenicsmpm.lanes import LANES
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.location import locator
+from fenicsmpm.rigid.contact_law import Contact
 from fenicsmpm.simulation.lattice_carried import flat, half_size
-from fenicsmpm.simulation.rigid_box import RigidBox
 from fenicsmpm.transfer import grid_rows as grid
 from fenicsmpm.transfer.body import Body
 from fenicsmpm.transfer.contact import contact
@@ -81,6 +81,7 @@ class Part:
         self._body: Body | None = None
         self._order: Numbers = np.empty(0, dtype=np.int32)
         self._sigma: Array = np.empty((0, LANES))
+        self._slips: dict[str, Array] = {}
         self._sum_volumes: Sums | None = None
         self._sum_averages: Sums | None = None
 
@@ -116,6 +117,9 @@ class Part:
                 old[name] = rows = None
                 old[name] = in_blocks(values, order, copied=name not in ("mass", "V_0"))
         old["x_next"] = np.empty_like(old["x"])
+        for name, rows in self._slips.items():
+            slip = out_of_blocks(rows, self._order, n, (2, self._dim))
+            self._slips[name] = in_blocks(slip, order)
         sigma = out_of_blocks(self._sigma, self._order, n, (9,))
         self._sigma = in_blocks(sigma, order)
         self._body = Body(**old)
@@ -173,7 +177,7 @@ class Part:
 
     def drop(self) -> None:
         """Forget the working arrays of a block that has failed."""
-        self._body, self._sigma = None, np.empty((0, LANES))
+        self._body, self._sigma, self._slips = None, np.empty((0, LANES)), {}
 
     @property
     def averages(self) -> Array:
@@ -188,10 +192,14 @@ class Part:
 
     # --- steps -------------------------------------------------------------------------------
 
-    def begin(self, law: Law) -> None:
+    def begin(self, law: Law, slips: Sequence[str]) -> None:
         """Take working copies of what steps change, in the order of ``sort``.
 
         The points stay as they are.
+
+        Args:
+            law: with its parameters as they are now.
+            slips: names of fields of elastic slip on rigid bodies.
 
         Raises:
             ValueError: for a law of another kind than the first.
@@ -220,6 +228,7 @@ class Part:
             parameters=np.asarray(law.parameters),
         )
         self._sigma = in_blocks(points["sigma"], order)
+        self._slips = {name: in_blocks(points[name], order) for name in slips}
         self._reference: Array | None = None  # initial positions, if those at the beginning go
         self._version = points.version
 
@@ -244,32 +253,42 @@ class Part:
         assert self._body is not None
         return self._body
 
-    def push(self, box: RigidBox, velocity: Array, dt: float) -> tuple[Array, int]:
-        """Contact forces of a box to the nodes.
+    def push(self, slip: str, contact: Contact, dt: float, total: Array) -> int:
+        """Contact forces of a rigid body to the nodes, and to its totals.
+
+        Args:
+            slip: name of the field of elastic slip on it, which need not be there.
+            contact: the body as it is now.
+            dt: time step [s].
+            total: ``(8,)``, see `fenicsmpm.transfer.contact`.
 
         Returns:
-            Their sum ``(d,)`` [N], and a block with a point inside of the box; or -1.
+            A block with a point inside of the body; or -1.
         """
         body = self._working
-        force, bad = self._contact.push(
-            self._nodes, self._ids, self._half, body.x, body.v, body.mass, box.lower, box.upper,
-            velocity, box.reach, box.stiffness, box.friction, dt, flat(self.rows),
+        return int(
+            self._contact.push(
+                self._nodes, self._ids, self._half, body.x, body.v, self._slip(slip), body.mass,
+                contact, dt, flat(self.rows), total,
+            )
         )  # fmt: skip
-        return force, bad
 
-    def hold_back(self, box: RigidBox, velocity: Array, dt: float) -> tuple[Array, int, bool]:
-        """Keep points out of a box.
+    def hold_back(self, slip: str, contact: Contact, dt: float, total: Array) -> tuple[int, bool]:
+        """Keep points out of a rigid body at its new place, see ``push``.
 
         Returns:
-            The force that this took ``(d,)`` [N]; a block with a point that has left the lattice
-            by this, or -1; and whether a point has left its window.
+            A block with a point that has left the lattice by this, or -1; and whether a point has
+            left its window.
         """
         body = self._working
-        force, bad, strays = self._contact.hold_back(
-            self._nodes, self._units, body.x_next, body.v, body.mass, box.lower, box.upper,
-            velocity, box.reach, dt,
+        bad, strays = self._contact.hold_back(
+            self._nodes, self._units, body.x, body.x_next, body.v, self._slip(slip), body.mass,
+            contact, dt, total,
         )  # fmt: skip
-        return force, bad, strays
+        return int(bad), bool(strays)
+
+    def _slip(self, name: str) -> Array:
+        return self._slips.get(name, np.empty((0, LANES)))
 
     def gather(self, rows: Array, dt: float, flip: float) -> tuple[int, bool]:
         """Velocities, positions and F from the nodes of all bodies, and J to its own.
@@ -363,7 +382,8 @@ class Part:
     def changing(self) -> list[str]:
         """Fields that steps change."""
         averaged = [] if self._fbar is None else ["J_bar"]
-        return ["x", "u", "v", "F", "J", "weight", "sigma", *averaged, *self._law.state]
+        of_law = [*averaged, *self._law.state]
+        return ["x", "u", "v", "F", "J", "weight", "sigma", *of_law, *self._slips]
 
     def provide(self, name: str) -> dict[str, Array]:
         """New arrays of a field that steps change, and of those that come with it."""
@@ -384,6 +404,8 @@ class Part:
             return {"J_bar": out_of_blocks(body.J_bar, order, n)}
         if name == "sigma":
             return {"sigma": out_of_blocks(self._sigma, order, n, (3, 3))}
+        if name in self._slips:
+            return {name: out_of_blocks(self._slips[name], order, n, (2, d))}
         if name in self._law.state:
             state = out_of_blocks(body.state, order, n, (self._law.n_state,))
             return {k: self._law.state_field(state, k).copy() for k in self._law.state}
@@ -442,6 +464,7 @@ class Part:
         x = self.provide("x")["x"]
         self._body = self._working._replace(x=none)
         points.defer([name for name in new if name not in ("x", "u")], self.provide)
+        points.assign({k: self.provide(k)[k] for k in self._slips if k in new})
         working = {
             "F": "F", "sigma": "", "v": "v", **dict.fromkeys(self._law.state, "state"),
             "J_bar": "J_bar",

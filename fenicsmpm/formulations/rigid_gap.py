@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""Gaps between points and rigid bodies as UFL."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from fenicsmpm.forms import PointExpression
+from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.point_field import ComputedField
+from fenicsmpm.rigid import RigidBody
+
+Array = npt.NDArray[np.float64]
+
+
+class RigidGap:
+    """Distance of points from a rigid body after a motion, and what the body does under them.
+
+    UFL has no distance from a sampled shape. So distance and normal are found at the points before
+    each evaluation, and the distance is continued linearly from there. As it is evaluated where it
+    was found, values are exact, and ``ufl.derivative`` gives the tangent without the curvature of
+    the surface.
+
+    Args:
+        points: which may touch the body.
+        u: their motion [m].
+        rigid: the body.
+
+    Attributes:
+        way: of the body's material at each point in the step ``(d,)`` [m], UFL.
+    """
+
+    def __init__(self, points: MaterialPoints, u: Any, rigid: RigidBody) -> None:
+        """Compile where points come to (collective)."""
+        dim = points.mesh.geometry.dim
+        if rigid.dim != dim:
+            raise ValueError(
+                f"the rigid body {rigid.name} has {rigid.dim} dimensions, the mesh has {dim}"
+            )
+        self._points, self._rigid = points, rigid
+        self._place = PointExpression(ufl.SpatialCoordinate(points.mesh) + u, points)
+        self._values: dict[str, Array] = {}
+        self._distance, self._normal = self._field("distance", ()), self._field("normal", (dim,))
+        self._found_at, self.way = self._field("place", (dim,)), self._field("way", (dim,))
+
+    def __call__(self, place: Any) -> Any:
+        """Distance of a place (d,) [m], UFL, near where it was found."""
+        return self._distance + ufl.dot(self._normal, place - self._found_at)
+
+    def _field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
+        field = ComputedField(self._points, name, shape, self._update, lambda: self._values[name])
+        field.source = self._rigid  # by which time loops find it
+        return field
+
+    def _update(self) -> None:
+        x = self._place.evaluate()
+        distance, normal = self._rigid.distance(x)
+        self._values = {
+            "place": x,
+            "distance": np.minimum(distance, np.finfo(np.float64).max),
+            "normal": normal,
+            "way": self._rigid.way(self._points.x),
+        }
