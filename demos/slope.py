@@ -7,8 +7,8 @@ are divided by a factor that grows. The slope moves by millimetres until there i
 any more, and by decimetres thereafter: the factor between is the factor of safety. It should be 1:
 limit analysis by W. F. Chen (Limit Analysis and Soil Plasticity, 1975) has failure at gamma H / c =
 16.16 for phi = 20 degrees and flow normal to the yield surface; here gamma = 20 kN/m^3, H = 10 m
-and c = 12.38 kPa. E. M. Dawson, W. H. Roth, A. Drescher (Geotechnique 49, 1999) have reduced the same
-strength in finite differences.
+and c = 12.38 kPa. E. M. Dawson, W. H. Roth, A. Drescher (Geotechnique 49, 1999) have reduced it in
+finite differences.
 """
 
 from mpi4py import MPI
