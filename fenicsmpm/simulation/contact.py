@@ -16,13 +16,17 @@ class Contact:
     """Two bodies that touch, slide and part in explicit steps, instead of sticking to each other.
 
     Each has nodal velocities of its own. They feel each other as soon as the domains of their
-    points meet: neither enters the other one, nothing holds them together, and Coulomb's friction
-    acts against slip. They stick to each other while less than this is needed for it.
+    points meet: they are pushed apart in proportion to their overlap, never pulled, and Coulomb's
+    friction acts against slip. They stick to each other while less than this is needed for it.
 
     Args:
         first: a body.
         second: another one.
         friction: Coulomb's coefficient; infinite for no slip while they are pressed together.
+        stiffness: of the contact at a node, in units of the reduced mass of both bodies there over
+            the square of the time that a wave takes through a cell. It is lowered if the step is
+            too long for it: with the default, a contact is about as stiff as a layer of the bodies
+            that is 0.7 cells thick, and ``cfl`` may be up to 0.4.
 
     Attributes:
         force: on the second body in the last step, ``(d,)`` [N]; the first one gets the opposite.
@@ -30,18 +34,26 @@ class Contact:
             at its beginning; negative if they overlapped, infinite if there is no such node.
 
     Raises:
-        ValueError: for a friction that is negative or no number, and for a body with itself.
+        ValueError: for a friction that is negative or no number, a stiffness that is not positive,
+            and for a body with itself.
     """
 
     def __init__(
-        self, first: MaterialPoints, second: MaterialPoints, friction: float = 0.0
+        self,
+        first: MaterialPoints,
+        second: MaterialPoints,
+        friction: float = 0.0,
+        stiffness: float = 6.0,
     ) -> None:
         """Check."""
         if first is second:
             raise ValueError("a contact of a body with itself: points of one body share velocities")
         if not friction >= 0:
             raise ValueError(f"friction must be a number that is not negative: {friction}")
-        self.first, self.second, self.friction = first, second, float(friction)
+        if not 0 < stiffness < np.inf:
+            raise ValueError(f"stiffness must be positive and finite: {stiffness}")
+        self.first, self.second = first, second
+        self.friction, self.stiffness = float(friction), float(stiffness)
         self.force: npt.NDArray[np.float64] = np.zeros(first.mesh.geometry.dim)
         self.gap = np.inf
 

@@ -373,6 +373,13 @@ class ExplicitMPM:
         fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
         return self._h / fastest if fastest > 0 else math.inf
 
+    @property
+    def contact_rate(self) -> float:
+        """Square of the rate at which waves go through cells, which contacts take [1/s^2]."""
+        if len(self.laws) == len(self.bodies):
+            return 1 / self._stable**2
+        return math.inf  # as fast as the step allows
+
     def _step_length(self) -> float:
         if self._way.is_open:
             return self._longest_dt

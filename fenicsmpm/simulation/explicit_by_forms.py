@@ -159,7 +159,7 @@ class ByForms:
         self._flip = fem.Constant(mesh, float(sim.flip))
         self._force = la.vector(V.dofmap.index_map, self._dim)
         self._elsewhere = residual.elsewhere and forms.form(residual.elsewhere)
-        self._maps_back = functions_of(sim.bodies[0]) == "linear"
+        self._maps_back = functions_of(sim.bodies[0]) == "linear" or bool(sim.contacts)
         self._straining = fem.Function(V) if self._maps_back else sim.velocity
         self._bodies = {
             body: BodyByForms(
@@ -181,7 +181,7 @@ class ByForms:
             NodalField([self._bodies[body] for body in group], self._form_of(group), shape)
             for group in share_velocities(sim.bodies, sim.contacts)
         ]
-        self._contacts = ContactsOfFields(sim.contacts, self._fields, self._scalars)
+        self._contacts = ContactsOfFields(sim.contacts, self._fields, V, self._scalars)
         self._carried = {
             points: forms.FieldUpdates(
                 points,
@@ -251,6 +251,7 @@ class ByForms:
             velocities = [box.velocity_at(sim.time) for box in sim.rigid]
             self._forces()
             self._push(velocities)
+            self._contacts.push(sim.contact_rate, sim.dt)
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):
@@ -406,7 +407,7 @@ class ByForms:
             push += np.where(fixed, mass * (v - start) / dt - f, 0.0)
         sim.reaction = self._V.mesh.comm.allreduce(push[:owned].sum(axis=0))
         self._supported = push[:owned].ravel()
-        self._contacts.act(fixed, dt)
+        self._contacts.rub(fixed, dt)
         for field, v in zip(self._fields, before, strict=True):
             field.increment = field.velocity - v
 

@@ -14,7 +14,8 @@ from dolfinx import fem
 
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.simulation.contact import Contact
-from fenicsmpm.transfer.multi_field import Interfaces, Pair, contact_impulses
+from fenicsmpm.transfer import p2g
+from fenicsmpm.transfer.multi_field import Grip, Interfaces, rub
 
 Array = npt.NDArray[np.float64]
 
@@ -69,20 +70,26 @@ class ContactsOfFields:
     Args:
         contacts: between bodies.
         fields: such that bodies in contact are in different ones.
-        scalars: space of a scalar on the nodes (collective).
+        space: of velocities (collective).
+        scalars: of a scalar on the same nodes.
     """
 
     def __init__(
-        self, contacts: Sequence[Contact], fields: Sequence[NodalField], scalars: fem.FunctionSpace
+        self,
+        contacts: Sequence[Contact],
+        fields: Sequence[NodalField],
+        space: fem.FunctionSpace,
+        scalars: fem.FunctionSpace,
     ) -> None:
         """Find the pairs of fields in contact."""
-        self._fields, self._scalars = fields, scalars
+        self._fields, self._space = fields, space
         self._of_pairs: dict[tuple[int, int], list[Contact]] = {}
         for contact in contacts:
             pair = (self._number(contact.first), self._number(contact.second))
             self._of_pairs.setdefault(pair, []).append(contact)
         self._interfaces = Interfaces(scalars) if contacts else None
-        self._forces: dict[int, tuple[npt.NDArray[np.int64], Array]] = {}
+        self._grips: list[Grip] = []
+        self._forces: dict[tuple[int, int], Array] = {}
 
     def _number(self, points: MaterialPoints) -> int:
         """Of the field of a body."""
@@ -90,36 +97,60 @@ class ContactsOfFields:
             k for k, f in enumerate(self._fields) if any(b.points is points for b in f.bodies)
         )
 
-    def act(self, fixed: npt.NDArray[np.bool_], dt: float) -> None:
-        """Change the velocities of all fields by contact (collective).
+    def push(self, rate: float, dt: float) -> None:
+        """Add normal forces to those of the fields (collective).
+
+        Args:
+            rate: square of the frequency at which contacts push back in units of their stiffness,
+                see ``Contact`` [1/s^2].
+            dt: step, in which no contact may push back faster than once [s].
+        """
+        self._grips = []
+        if self._interfaces is None:
+            return
+        masses = [field.mass for field in self._fields]
+        for (a, b), contacts in self._of_pairs.items():
+            bodies = [[body.points for body in self._fields[k].bodies] for k in (a, b)]
+            meeting = self._interfaces.between((bodies[0], bodies[1]), (masses[a], masses[b]))
+            self._forces[a, b] = np.zeros_like(self._fields[a].velocity)
+            for contact in contacts:
+                contact.force, contact.gap = np.zeros(self._forces[a, b].shape[1]), np.inf
+            if meeting is None:
+                continue
+            nodes = np.flatnonzero(meeting.gap < 0)
+            m_a, m_b = masses[a][nodes], masses[b][nodes]
+            stiffness = min(contacts[0].stiffness * rate, 1 / dt**2) * m_a * m_b / (m_a + m_b)
+            push = np.zeros_like(meeting.gap)
+            push[nodes] = -stiffness * meeting.gap[nodes]
+            for points, forces in self._interfaces.point_forces(meeting, push):
+                total = p2g(points, forces, self._space).array.reshape(-1, forces.shape[1])
+                self._fields[self._number(points)].force += total
+            normal, friction = meeting.normal[nodes], contacts[0].friction
+            limit = friction * push[nodes, None] * dt
+            self._forces[a, b][nodes] = push[nodes, None] * normal
+            self._grips.append(Grip((a, b), nodes, normal, limit))
+            least = float(meeting.gap.min(initial=np.inf))
+            for contact in contacts:
+                contact.gap = self._space.mesh.comm.allreduce(least, MPI.MIN)
+
+    def rub(self, fixed: npt.NDArray[np.bool_], dt: float) -> None:
+        """Change the velocities of all fields by friction (collective).
 
         Args:
             fixed: ``(n_nodes, d)`` prescribed components.
             dt: step [s].
         """
-        if self._interfaces is None:
-            return
-        fields, pairs = self._fields, []
-        points = [[body.points for body in field.bodies] for field in fields]
-        masses = [field.mass for field in fields]
-        for (a, b), contacts in self._of_pairs.items():
-            meeting = self._interfaces.between(points[a], points[b], (masses[a], masses[b]))
-            pairs.append(Pair(a, b, contacts[0].friction, meeting))
-        velocities = [field.velocity for field in fields]
-        impulses = contact_impulses(pairs, masses, velocities, fixed, dt)
-        comm, owned = self._scalars.mesh.comm, self._scalars.dofmap.index_map.size_local
-        for pair, J, contacts in zip(pairs, impulses, self._of_pairs.values(), strict=True):
-            nodes, gap = pair.meeting.nodes, pair.meeting.gap
-            force = comm.allreduce(J[nodes < owned].sum(axis=0)) / dt
-            least = comm.allreduce(float(gap.min(initial=np.inf)), MPI.MIN)
-            for contact in contacts:
-                contact.force, contact.gap = force, least
-                self._forces[id(contact)] = nodes, J / dt
+        masses = [field.mass for field in self._fields]
+        impulses = rub(self._grips, masses, [field.velocity for field in self._fields], fixed)
+        owned = self._space.dofmap.index_map.size_local
+        for grip, impulse in zip(self._grips, impulses, strict=True):
+            forces = self._forces[grip.fields]
+            forces[grip.nodes] += impulse / dt
+            total = self._space.mesh.comm.allreduce(forces[:owned].sum(axis=0))
+            for contact in self._of_pairs[grip.fields]:
+                contact.force = total
 
     def nodal_forces(self, contact: Contact) -> Array:
         """Of a contact on its second body in the last step, ``(n_nodes, d)`` [N]."""
-        result = np.zeros_like(self._fields[0].velocity)
-        if id(contact) in self._forces:
-            nodes, forces = self._forces[id(contact)]
-            result[nodes] = forces
-        return result
+        pair = (self._number(contact.first), self._number(contact.second))
+        return self._forces.get(pair, np.zeros_like(self._fields[0].velocity))
