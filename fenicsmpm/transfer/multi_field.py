@@ -39,9 +39,9 @@ Array = npt.NDArray[np.float64]
 
 # Penalty on the squared slope of the regression, in the cell's size: without it, there is no
 # steepest plane between sets of points that do not overlap
-_RIDGE = 1e-4
+_RIDGE = 1e-8
 # Newton's steps of the regression at most, their largest length, and when they are small enough
-_ITERATIONS, _LONGEST, _SMALL = 15, 4.0, 1e-3
+_ITERATIONS, _LONGEST, _SMALL = 30, 10.0, 1e-3
 # Steepness of the weights that single out the outermost points, per spacing of points
 _STEEPNESS = 5.0
 # Rounds over the pairs of fields where more than two may meet at a node
