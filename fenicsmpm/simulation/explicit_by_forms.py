@@ -176,12 +176,15 @@ class ByForms:
             )
             for body in sim.bodies
         }
+        self._light_nodes = LightNodes(V)
         shape = self._increment.x.array.reshape(-1, self._dim).shape
         self._fields = [
             NodalField([self._bodies[body] for body in group], self._form_of(group), shape)
             for group in share_velocities(sim.bodies, sim.contacts)
         ]
-        self._contacts = ContactsOfFields(sim.contacts, self._fields, V, self._scalars)
+        self._contacts = ContactsOfFields(
+            sim.contacts, self._fields, V, self._scalars, self._light_nodes
+        )
         self._carried = {
             points: forms.FieldUpdates(
                 points,
@@ -189,7 +192,6 @@ class ByForms:
             )
             for points in sim.carried
         }
-        self._light_nodes = LightNodes(V)
         self._supported: Array = np.empty(0)
 
     def _form_of(self, bodies: Sequence[MaterialPoints]) -> Any:

@@ -15,6 +15,7 @@ from dolfinx import fem
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.simulation.contact import Contact
 from fenicsmpm.transfer import p2g
+from fenicsmpm.transfer.light_nodes import LIGHT, LightNodes
 from fenicsmpm.transfer.multi_field import Grip, Interfaces, rub
 
 Array = npt.NDArray[np.float64]
@@ -72,6 +73,7 @@ class ContactsOfFields:
         fields: such that bodies in contact are in different ones.
         space: of velocities (collective).
         scalars: of a scalar on the same nodes.
+        light_nodes: of the same space.
     """
 
     def __init__(
@@ -80,9 +82,10 @@ class ContactsOfFields:
         fields: Sequence[NodalField],
         space: fem.FunctionSpace,
         scalars: fem.FunctionSpace,
+        light_nodes: LightNodes,
     ) -> None:
         """Find the pairs of fields in contact."""
-        self._fields, self._space = fields, space
+        self._fields, self._space, self._light_nodes = fields, space, light_nodes
         self._of_pairs: dict[tuple[int, int], list[Contact]] = {}
         for contact in contacts:
             pair = (self._number(contact.first), self._number(contact.second))
@@ -123,11 +126,15 @@ class ContactsOfFields:
             push = np.zeros_like(meeting.gap)
             push[nodes] = -stiffness * meeting.gap[nodes]
             for points, forces in self._interfaces.point_forces(meeting, push):
-                total = p2g(points, forces, self._space).array.reshape(-1, forces.shape[1])
-                self._fields[self._number(points)].force += total
+                number = self._number(points)
+                total = p2g(points, forces, self._space, positive=True).array
+                total = total.reshape(-1, forces.shape[1])
+                self._light_nodes.relieve(masses[number], total, LIGHT, False)
+                self._fields[number].force += total
+                if number == b:
+                    self._forces[a, b] += total
             normal, friction = meeting.normal[nodes], contacts[0].friction
             limit = friction * push[nodes, None] * dt
-            self._forces[a, b][nodes] = push[nodes, None] * normal
             self._grips.append(Grip((a, b), nodes, normal, limit))
             least = float(meeting.gap.min(initial=np.inf))
             for contact in contacts:

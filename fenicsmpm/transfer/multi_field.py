@@ -186,8 +186,15 @@ class Interfaces:
             groups = np.flatnonzero(meets[dofs].any(axis=1) & (np.diff(stencil.offsets) > 0))
             clouds.append(
                 Cloud(
-                    body.x, body["mass"], radius, body["F"], stencil.order, stencil.offsets,
-                    stencil.positive_table(element), dofs, groups,
+                    body.x,
+                    body["mass"],
+                    radius,
+                    body["F"],
+                    stencil.order,
+                    stencil.offsets,
+                    stencil.positive_table(element),
+                    dofs,
+                    groups,
                 )  # fmt: skip
             )
         radii = self._comm.allreduce(sum(float(cloud.radius.sum()) for cloud in clouds))
