@@ -2,6 +2,7 @@
 """The time loops, and what observes them."""
 
 from fenicsmpm.simulation.audit import Audit, Balance, StepAudit
+from fenicsmpm.simulation.contact import Contact
 from fenicsmpm.simulation.explicit import ExplicitMPM
 from fenicsmpm.simulation.implicit import ImplicitMPM
 from fenicsmpm.simulation.observer import Observer
@@ -16,6 +17,7 @@ from fenicsmpm.simulation.unstable import UnstableError
 __all__ = [
     "Audit",
     "Balance",
+    "Contact",
     "Exchange",
     "ExplicitMPM",
     "ImplicitMPM",

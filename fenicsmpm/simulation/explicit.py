@@ -25,6 +25,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.rigid import RigidBody
+from fenicsmpm.simulation.contact import Contact
 from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
     check_bodies,
@@ -61,9 +62,11 @@ class ExplicitMPM:
         unknown: the velocity of the nodes [m/s], ``Unknown(mesh, "v")``, in linear functions. Its
             conditions are all components for fixed nodes, the normal one for rollers and slip
             walls.
-        bodies: material points with the fields of ``formulations.set_initial_state``. They meet on
-            the grid, without slip; each has averages of J of its own. They see the grid functions
-            chosen by ``basis.use``, otherwise the finite elements of the mesh.
+        bodies: material points with the fields of ``formulations.set_initial_state``. Those without
+            a contact between them share the nodes' velocities: they meet without slip and never
+            part. Each has averages of J of its own. They see the grid functions chosen by
+            ``basis.use``, otherwise the finite elements of the mesh.
+        contacts: between bodies that touch, slide and part.
         carried: further points that move with the grid, such as those that carry loads; each gets
             a field "u" if it has none.
         bcs: further Dirichlet conditions of dolfinx.
@@ -83,7 +86,8 @@ class ExplicitMPM:
             functions of the simulation and the ``Step``.
 
     Attributes:
-        velocity: of the nodes [m/s], at the end of the last step.
+        velocity: of the nodes [m/s], at the end of the last step; where bodies in contact meet, the
+            mean by mass. Loads on carried points, cells and facets are shared out likewise.
         time: [s].
         number: of steps done.
         dt: length of the last step [s], before the first of that.
@@ -93,6 +97,7 @@ class ExplicitMPM:
             with other parameters.
         bcs: may be changed between steps, as may flip, damping and data.
         rigid: rigid bodies.
+        contacts: with their forces and gaps in the last step.
         reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
         duration: dt as a constant for UFL, such as that of ``updates`` [s].
         seconds: time spent in each stage so far [s].
@@ -100,7 +105,8 @@ class ExplicitMPM:
     Raises:
         TypeError: for a residual that is no form.
         ValueError: for a residual of another rank, with unknowns, or on another space or mesh;
-            points without their fields; options out of range; no dt for bodies without a law.
+            points without their fields; options out of range; contacts of what is no body, or that
+            bodies cannot have all at once; no dt for bodies without a law.
     """
 
     def __init__(
@@ -109,6 +115,7 @@ class ExplicitMPM:
         unknown: Unknown,
         bodies: MaterialPoints | Sequence[MaterialPoints],
         *,
+        contacts: Sequence[Contact] = (),
         carried: Sequence[MaterialPoints] = (),
         bcs: Sequence[fem.DirichletBC] = (),
         updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
@@ -152,6 +159,7 @@ class ExplicitMPM:
                     body.add_field(slip_on(k), (2, rigid_body.dim))
         self._fixed = unknown.bcs
         self.bcs, self.rigid = [*self._fixed, *bcs], list(rigid)
+        self.contacts = list(contacts)
         self.data = data
         self.flip, self.damping = flip, damping
         self.time, self.number = 0.0, 0
@@ -214,9 +222,26 @@ class ExplicitMPM:
         """Of the nodes in the last step [m/s^2] (collective at first use)."""
         return self._way.acceleration()
 
+    def contact_forces(self, contact: Contact) -> fem.Function:
+        """Of a contact on its second body at the nodes in the last step [N] (collective).
+
+        Args:
+            contact: one of this simulation.
+
+        Raises:
+            ValueError: for another one.
+        """
+        if contact not in self.contacts or not isinstance(self._way, ByForms):
+            raise ValueError(f"no contact of this simulation: {contact!r}")
+        function = fem.Function(self.velocity.function_space, name="contact force")
+        function.x.array[:] = self._way.contact_forces(contact).ravel()
+        return function
+
     def _is_for_kernels(self) -> bool:
         """Whether fused kernels do what the residual says, but for further terms."""
         mesh = self.velocity.function_space.mesh
+        if self.contacts:  # kernels have one velocity a node
+            return False
         if cell_geometry(mesh).boxes is None or self.residual.internal != set(self.bodies):
             return False
         if functions_of(self.bodies[0]) == "cpgimp":  # kernels have one size for all points
@@ -320,6 +345,8 @@ class ExplicitMPM:
     def parameters(self) -> dict[str, str]:
         """What the script has chosen, for checkpoints."""
         said = {"flip": repr(self.flip), "damping": repr(self.damping)}
+        for k, contact in enumerate(self.contacts):
+            said[f"friction of contact {k}"] = repr(contact.friction)
         for k, body in enumerate(self.bodies):
             if body in self.laws:
                 said[f"law of body {k}"] = repr(self.laws[body])
@@ -351,6 +378,13 @@ class ExplicitMPM:
         require_points(self.bodies)
         fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
         return self._h / fastest if fastest > 0 else math.inf
+
+    @property
+    def contact_rate(self) -> float:
+        """Square of the rate at which waves go through cells, which contacts take [1/s^2]."""
+        if len(self.laws) == len(self.bodies):
+            return 1 / self._stable**2
+        return math.inf  # as fast as the step allows
 
     def _step_length(self) -> float:
         if self._way.is_open:

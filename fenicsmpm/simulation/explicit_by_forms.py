@@ -6,7 +6,7 @@ What the fused kernels on lattices do in fewer passes over the points is said he
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
@@ -29,6 +29,8 @@ from fenicsmpm.materials import Law, state_of, stress
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.migration import PointsOutsideError
 from fenicsmpm.rigid.body import TOTALS
+from fenicsmpm.simulation.contact import Contact, share_velocities
+from fenicsmpm.simulation.nodal_field import ContactsOfFields, NodalField, mean, share_out
 from fenicsmpm.simulation.rigid_state import slip_on
 from fenicsmpm.simulation.unstable import force_without_material
 from fenicsmpm.transfer import p2g
@@ -158,19 +160,11 @@ class ByForms:
         self._increment = fem.Function(V, name="increment")
         self._flip = fem.Constant(mesh, float(sim.flip))
         self._force = la.vector(V.dofmap.index_map, self._dim)
-        # loads act at surfaces, where more nodes are light
-        self._forms = [
-            (forms.form(part), light, of_loads)
-            for part, light, of_loads in (
-                (residual.at_bodies, LIGHT, False),
-                (residual.elsewhere, LIGHT_FOR_LOADS, True),
-            )
-            if part is not None
-        ]
-        self._maps_back = functions_of(sim.bodies[0]) == "linear"
+        self._elsewhere = residual.elsewhere and forms.form(residual.elsewhere)
+        self._maps_back = functions_of(sim.bodies[0]) == "linear" or bool(sim.contacts)
         self._straining = fem.Function(V) if self._maps_back else sim.velocity
-        self._bodies = [
-            BodyByForms(
+        self._bodies = {
+            body: BodyByForms(
                 body,
                 residual.stresses.get(body),
                 residual.averages.get(body),
@@ -183,7 +177,16 @@ class ByForms:
                 updates.get(body, {}),
             )
             for body in sim.bodies
+        }
+        self._light_nodes = LightNodes(V)
+        shape = self._increment.x.array.reshape(-1, self._dim).shape
+        self._fields = [
+            NodalField([self._bodies[body] for body in group], self._form_of(group), shape)
+            for group in share_velocities(sim.bodies, sim.contacts)
         ]
+        self._contacts = ContactsOfFields(
+            sim.contacts, self._fields, V, self._scalars, self._light_nodes
+        )
         self._carried = {
             points: forms.FieldUpdates(
                 points,
@@ -191,8 +194,12 @@ class ByForms:
             )
             for points in sim.carried
         }
-        self._light_nodes = LightNodes(V)
         self._supported: Array = np.empty(0)
+
+    def _form_of(self, bodies: Sequence[MaterialPoints]) -> Any:
+        """The residual's integrals over the points of some bodies, compiled; None for none."""
+        part = self._sim.residual.at(bodies)
+        return part and forms.form(part)
 
     def mass(self) -> fem.Function:
         """Of the nodes in the last step [kg]."""
@@ -205,6 +212,10 @@ class ByForms:
     def support_forces(self) -> tuple[npt.NDArray[np.int32], Array]:
         """See ``ExplicitMPM.reaction_of``: owned dofs, and the force at each of them [N]."""
         return np.arange(len(self._supported), dtype=np.int32), self._supported
+
+    def contact_forces(self, contact: Contact) -> Array:
+        """See ``ExplicitMPM.contact_forces``, ``(n_nodes, d)``."""
+        return self._contacts.nodal_forces(contact)
 
     def settle(self) -> None:
         """Nothing: all points are up to date."""
@@ -243,63 +254,103 @@ class ByForms:
         with clock("forces"):
             self._forces()
             slips = self._push()
+            self._contacts.push(sim.contact_rate, sim.dt)
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):
-            new = {body.points: body.moved() | slips[body.points] for body in self._bodies}
+            new = {}
+            for field in self._fields:
+                self._show(field)
+                new |= {body.points: body.moved() | slips[body.points] for body in field.bodies}
             self._hold_back(new)
         if self._maps_back:
             with clock("P2G"):
                 self._map_back(new)
         with clock("G2P"):
-            for body in self._bodies:
-                new[body.points] |= body.strained(sim.laws.get(body.points))
+            for field in self._fields:
+                self._show(field)
+                for body in field.bodies:
+                    new[body.points] |= body.strained(sim.laws.get(body.points))
+            self._show_mean()
             for points, update in self._carried.items():
                 new[points] = _summed(points, update.evaluate())
-        sim.raise_if([m for b in self._bodies if (m := _fault(b.points, new[b.points]))])
+        sim.raise_if([m for points in sim.bodies if (m := _fault(points, new[points]))])
         with clock("convect"):
             removed = self._convect(new)
         sim.end_of_step()
         return removed
 
+    def _show(self, field: NodalField) -> None:
+        """Let forms and expressions see the velocities of a field."""
+        self._sim.velocity.x.array[:] = field.velocity.ravel()
+        self._increment.x.array[:] = field.increment.ravel()
+        if self._maps_back:
+            self._straining.x.array[:] = field.straining.ravel()
+
+    def _show_mean(self) -> None:
+        """The same of the mean by mass of all fields."""
+        self._sim.velocity.x.array[:] = mean("velocity", self._fields).ravel()
+        self._increment.x.array[:] = mean("increment", self._fields).ravel()
+        self._acceleration.x.array[:] = self._increment.x.array / self._sim.dt
+
     def _points_to_grid(self) -> None:
         """Mass and velocity of the nodes."""
-        v = {body.points: body.points["v"] for body in self._bodies}
-        mass = self._nodal_velocity(v, self._sim.velocity)
-        self._mass.x.array[:] = mass
+        for field in self._fields:
+            v = {body.points: body.points["v"] for body in field.bodies}
+            field.mass, field.velocity = self._nodal_velocity(field, v)
+        self._mass.x.array[:] = np.sum([field.mass for field in self._fields], axis=0)
 
-    def _nodal_velocity(self, v: Mapping[MaterialPoints, Array], result: fem.Function) -> Array:
-        """Velocity of the nodes from those of the points; mass of the nodes [kg]."""
-        sums = np.sum([body.momentum(self._V, v[body.points]) for body in self._bodies], axis=0)
+    def _nodal_velocity(
+        self, field: NodalField, v: Mapping[MaterialPoints, Array]
+    ) -> tuple[Array, Array]:
+        """Mass of the nodes [kg], and their velocity from those of the points."""
+        sums = np.sum([body.momentum(self._V, v[body.points]) for body in field.bodies], axis=0)
         mass = sums[:, :1]
         # where functions end, round-off may have any sign
         mass[mass <= self._least_mass()] = 0.0
-        velocity = result.x.array.reshape(-1, self._dim)
-        velocity[:] = 0.0
-        np.divide(sums[:, 1:], mass, out=velocity, where=mass > 0)
-        return mass[:, 0]
+        momentum = sums[:, 1:]
+        velocity = np.divide(momentum, mass, out=np.zeros_like(momentum), where=mass > 0)
+        return mass[:, 0], velocity
 
     def _map_back(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> None:
         """Velocity whose gradient deforms points of linear functions, see `light_nodes`."""
-        v = {body.points: new[body.points]["v"] for body in self._bodies}
-        self._nodal_velocity(v, self._straining)
+        for field in self._fields:
+            v = {body.points: new[body.points]["v"] for body in field.bodies}
+            _, field.straining = self._nodal_velocity(field, v)
+            self._constrain(field.straining)
+
+    def _constrain(self, velocity: Array) -> None:
+        """Dirichlet conditions on velocities ``(n_nodes, d)`` of a field, in place (collective)."""
+        v = self._sim.velocity
+        v.x.array[:] = velocity.ravel()
         for bc in self._sim.bcs:
-            _compat.bc_set(bc, self._straining.x.array, None, 1.0)
-        self._straining.x.scatter_forward()
+            _compat.bc_set(bc, v.x.array, None, 1.0)
+        v.x.scatter_forward()
+        velocity[:] = v.x.array.reshape(-1, self._dim)
 
     def _forces(self) -> None:
         """Minus the residual, with that of light nodes given to their neighbours."""
+        for field in self._fields:
+            field.force = np.zeros_like(field.velocity)
+            if field.form is not None:
+                self._show(field)
+                field.force -= self._assembled(field.form, field.mass, LIGHT, False)
+        if self._elsewhere is not None:
+            self._show_mean()
+            # loads act at surfaces, where more nodes are light
+            force = self._assembled(self._elsewhere, self._mass.x.array, LIGHT_FOR_LOADS, True)
+            share_out(-force, self._fields)
+
+    def _assembled(self, form: Any, mass: Array, light: float, of_loads: bool) -> Array:
+        """A form ``(n_nodes, d)`` without forces on light nodes (collective)."""
         force = self._force
-        total = np.zeros_like(force.array)
-        for form, light, of_loads in self._forms:
-            force.array[:] = 0.0
-            forms.assemble_vector(form, force)
-            force.scatter_reverse(la.InsertMode.add)
-            force.scatter_forward()
-            nodes = force.array.reshape(-1, self._dim)
-            self._light_nodes.relieve(self._mass.x.array, nodes, light, of_loads)
-            total -= force.array
-        force.array[:] = total
+        force.array[:] = 0.0
+        forms.assemble_vector(form, force)
+        force.scatter_reverse(la.InsertMode.add)
+        force.scatter_forward()
+        nodes = force.array.reshape(-1, self._dim)
+        self._light_nodes.relieve(mass, nodes, light, of_loads)
+        return nodes
 
     def _push(self) -> dict[MaterialPoints, dict[str, Array]]:
         """Contact forces of rigid bodies, to the nodes; elastic slips of points on them."""
@@ -308,7 +359,7 @@ class ByForms:
         self._pushed = np.zeros((len(sim.rigid), TOTALS))
         for k, rigid in enumerate(sim.rigid):
             rigid.begin(sim.time)
-            for body in sim.bodies:
+            for field, body in self._all_points():
                 slip = self._slip(slips[body], k)
                 forces, bad = push_points(
                     body.x, body["v"], slip, body["mass"], rigid.contact(), sim.dt,
@@ -316,7 +367,7 @@ class ByForms:
                 )  # fmt: skip
                 if bad >= 0:
                     messages.append(f"a point is inside of the rigid body {rigid.name}")
-                self._force.array[:] += p2g(body, forces, self._V).array
+                field.force += p2g(body, forces, self._V).array.reshape(-1, self._dim)
         if sim.rigid:
             sim.raise_if(messages)
             self._V.mesh.comm.Allreduce(MPI.IN_PLACE, self._pushed, MPI.SUM)
@@ -346,29 +397,33 @@ class ByForms:
         slip = fields.get(slip_on(number), np.empty((0, 2, self._dim)))
         return slip.reshape(len(slip), 2 * self._dim)
 
+    def _all_points(self) -> Iterator[tuple[NodalField, MaterialPoints]]:
+        """Bodies with the fields of their nodes."""
+        for field in self._fields:
+            yield from ((field, body.points) for body in field.bodies)
+
     def _move_nodes(self) -> None:
-        """Momentum balance of the nodes (F-bar, equation 9), damping, Dirichlet conditions."""
-        sim, dt = self._sim, self._sim.dt
-        mass = self._mass.x.array[:, None]
-        v = sim.velocity.x.array.reshape(-1, self._dim)
-        f = self._force.array.reshape(-1, self._dim)
-        nowhere = (mass[:, 0] == 0) & (f != 0).any(axis=1)
-        owned = self._V.dofmap.index_map.size_local
-        sim.raise_if(self._describe_load(np.flatnonzero(nowhere[:owned])))
-        before = v.copy()
-        damped = f - sim.damping * np.abs(f) * np.sign(v)
-        v += np.divide(dt * damped, mass, out=np.zeros_like(f), where=mass > 0)
-        for bc in sim.bcs:
-            _compat.bc_set(bc, sim.velocity.x.array, None, 1.0)
-        sim.velocity.x.scatter_forward()
-        # supported nodes are not damped: the reaction to a body at rest is its weight
-        fixed = np.zeros(v.size, dtype=np.bool_)
+        """Momentum balance of the nodes (F-bar, equation 9), damping, conditions, contact."""
+        sim, dt, owned = self._sim, self._sim.dt, self._V.dofmap.index_map.size_local
+        fixed: npt.NDArray[np.bool_] = np.zeros(self._force.array.size, dtype=np.bool_)
         fixed[_compat.fixed_dofs(sim.bcs)] = True
-        push = np.where(fixed.reshape(v.shape), mass * (v - before) / dt - f, 0.0)
+        fixed = fixed.reshape(-1, self._dim)
+        push, before = np.zeros(fixed.shape), [field.velocity.copy() for field in self._fields]
+        for field in self._fields:
+            mass, v, f = field.mass[:, None], field.velocity, field.force
+            nowhere = (field.mass == 0) & (f != 0).any(axis=1)
+            sim.raise_if(self._describe_load(np.flatnonzero(nowhere[:owned])))
+            start = v.copy()
+            damped = f - sim.damping * np.abs(f) * np.sign(v)
+            v += np.divide(dt * damped, mass, out=np.zeros_like(f), where=mass > 0)
+            self._constrain(v)
+            # supported nodes are not damped: the reaction to a body at rest is its weight
+            push += np.where(fixed, mass * (v - start) / dt - f, 0.0)
         sim.reaction = self._V.mesh.comm.allreduce(push[:owned].sum(axis=0))
         self._supported = push[:owned].ravel()
-        self._increment.x.array[:] = (v - before).ravel()
-        self._acceleration.x.array[:] = self._increment.x.array / dt
+        self._contacts.rub(fixed, dt)
+        for field, v in zip(self._fields, before, strict=True):
+            field.increment = field.velocity - v
 
     def _describe_load(self, nodes: npt.NDArray[np.intp]) -> list[str]:
         if not len(nodes):
@@ -405,7 +460,10 @@ class ByForms:
 
     def __repr__(self) -> str:
         """What is done by forms: everything."""
-        return "by forms: " + "; ".join(f"{form}" for form, *_ in self._forms)
+        parts = [field.form for field in self._fields] + [self._elsewhere]
+        said = "by forms: " + "; ".join(f"{form}" for form in parts if form is not None)
+        contacts = "; ".join(f"{contact!r}" for contact in self._sim.contacts)
+        return said + (f"\n  {contacts}" if contacts else "")
 
 
 def _summed(points: MaterialPoints, new: dict[str, Array]) -> dict[str, Array]:

@@ -44,10 +44,9 @@ class Residual:
         gravity: force per mass on a body [m/s^2], for bodies with such a term.
         loads: force per weight of carried points, as UFL over them, for those with one that needs
             no function on the grid.
-        at_bodies: all integrals over points of bodies; None for none.
-        elsewhere: all others, over carried points, cells and facets; None for none.
-        rest_at_bodies: what of the former is neither internal force nor gravity; None for nothing.
-        rest_elsewhere: what of the latter is no load; None for nothing.
+        elsewhere: all integrals but those over points of bodies; None for none.
+        rest_at_bodies: what is over points of bodies and neither internal force nor gravity; None for nothing.
+        rest_elsewhere: what is elsewhere and no load; None for nothing.
 
     Raises:
         TypeError: for what is no form.
@@ -90,10 +89,12 @@ class Residual:
                 continue
             rest = rest_at_bodies if _is_over(integral, bodies) else rest_elsewhere
             rest.append(integral.reconstruct(integrand=term))
-        integrals = R.integrals()
-        self.at_bodies = _form([i for i in integrals if _is_over(i, bodies)])
-        self.elsewhere = _form([i for i in integrals if not _is_over(i, bodies)])
+        self.elsewhere = _form([i for i in R.integrals() if not _is_over(i, bodies)])
         self.rest_at_bodies, self.rest_elsewhere = _form(rest_at_bodies), _form(rest_elsewhere)
+
+    def at(self, bodies: Sequence[MaterialPoints]) -> ufl.Form | None:
+        """All integrals over points of some bodies; None for none."""
+        return _form([i for i in self.form.integrals() if _is_over(i, bodies)])
 
     def _find_fields(self, bodies: Sequence[MaterialPoints]) -> None:
         """Stresses and averages of the bodies."""
