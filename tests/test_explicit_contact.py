@@ -10,7 +10,7 @@ import pytest
 from dolfinx import fem, mesh
 from explicit_runs import use
 
-from fenicsmpm import ExplicitMPM, RigidBox, basis, formulations, io, points
+from fenicsmpm import ExplicitMPM, RigidBody, basis, formulations, io, points, shapes
 from fenicsmpm.diagnostics import kinetic_energy, momentum, strain_energy
 from fenicsmpm.materials import Hencky
 from fenicsmpm.simulation import Contact
@@ -208,10 +208,12 @@ def test_gap_and_normal_are_those_of_the_points():
     for cell in (QUADRILATERAL, mesh.CellType.triangle):
         domain = square(16, cell)
         normal = np.array([-0.6, 0.8])
-        tangent, spacing, gap = np.array([0.8, 0.6]), 0.05, 0.03
+        tangent, spacing, gap = np.array([0.8, 0.6]), 0.025, 0.03
         bodies = []
         for side in (-1, 1):
-            s, t = np.meshgrid(np.arange(0.5, 6.0) * spacing + gap / 2, np.arange(-6, 7) * spacing)
+            s, t = np.meshgrid(
+                np.arange(0.5, 6.0) * spacing + gap / 2, np.arange(-12, 13) * spacing
+            )
             x = 0.5 + side * s.ravel()[:, None] * normal + t.ravel()[:, None] * tangent
             mine = x if COMM.rank == 0 else x[:0]
             body = points.MaterialPoints(domain, mine, weight=spacing**2)
@@ -304,7 +306,7 @@ def test_boxes_loads_exits_and_averages(tmp_path, caplog):
     path = COMM.bcast(tmp_path) / "contact.h5"
 
     def made():
-        sim, contact = two_discs(friction=0.2)
+        sim, _ = two_discs(friction=0.2)
         discs, domain = sim.bodies, sim.bodies[0].mesh
         for disc, s in zip(discs, (1, -1), strict=True):
             disc.move(disc.x + s * 0.112)
@@ -315,7 +317,7 @@ def test_boxes_loads_exits_and_averages(tmp_path, caplog):
             (formulations.internal_force(w, d, SOFT, fbar=formulations.FBar()) for d in discs[1:]),
             formulations.internal_force(w, discs[0], SOFT, fbar=formulations.FBar()),
         ) + formulations.dead_load(w, load, (0.1, 0.0))
-        box = RigidBox((-1, -1), (2, 0.15), reach=0.02)
+        box = RigidBody(shapes.Box((-1, -1), (2, 0.15)), reach=0.02)
         options = {"carried": [load], "rigid": [box], "on_exit": "delete", "dt": 0.01}
         return ExplicitMPM(R, z, discs, contacts=[Contact(*discs, 0.2)], **options)
 
@@ -339,7 +341,7 @@ def test_boxes_loads_exits_and_averages(tmp_path, caplog):
 
 def test_wrong_contacts():
     """Each error says what is wrong with a contact."""
-    sim, contact = two_discs()
+    sim, _ = two_discs()
     a, b = sim.bodies
     other = points.lattice(a.mesh, 0.05)
     formulations.set_initial_state(other, 1.0)

@@ -45,7 +45,8 @@ class Residual:
         loads: force per weight of carried points, as UFL over them, for those with one that needs
             no function on the grid.
         elsewhere: all integrals but those over points of bodies; None for none.
-        rest_at_bodies: what is over points of bodies and neither internal force nor gravity; None for nothing.
+        rest_at_bodies: what is over points of bodies and neither internal force nor gravity; None
+            for nothing.
         rest_elsewhere: what is elsewhere and no load; None for nothing.
 
     Raises:

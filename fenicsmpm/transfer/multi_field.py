@@ -195,7 +195,7 @@ class Interfaces:
                     stencil.positive_table(element),
                     dofs,
                     groups,
-                )  # fmt: skip
+                )
             )
         radii = self._comm.allreduce(sum(float(cloud.radius.sum()) for cloud in clouds))
         mean = radii / sum(body.size_global for body in bodies)
