@@ -258,7 +258,7 @@ class ByForms:
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):
-            new = {}
+            new: dict[MaterialPoints, dict[str, Array]] = {}
             for field in self._fields:
                 self._show(field)
                 new |= {body.points: body.moved() | slips[body.points] for body in field.bodies}

@@ -231,7 +231,7 @@ class Interfaces:
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         return np.divide(normal, length, out=normal, where=length > 0)
 
-    def _sum(self, side: Side, size: int, add: Any, *arrays: Array) -> Array:
+    def _sum(self, side: Side, size: int, add: Any, *arrays: npt.NDArray[Any]) -> Array:
         """Sum a function of point and node over points, ``(n_nodes, size)`` (collective)."""
         result = la.vector(self._scalars.dofmap.index_map, size)
         result.array[:] = 0.0
