@@ -104,7 +104,7 @@ def test_sums_in_tiles_are_plain_sums(basis, dim):
     W = fem.functionspace(V.mesh, ("Lagrange", 1))
     half = half_size(body)
     engine = LatticeEngine(V, {body: RUBBER}, [formulations.TRUE_J], [], KINDS[basis])
-    engine.begin({body: RUBBER}, [])
+    engine.begin({body: RUBBER}, [], [])
     engine.sum_nodes({})
 
     x, m, v = (everywhere(body, name) for name in ("x", "mass", "v"))

@@ -298,5 +298,6 @@ def test_bad_images(make, match):
 
 def test_the_whole_is_exported():
     assert set(shapes.__all__) == {
-        "OpenSurfaceError", "Solid", "contour", "fractions", "mask", "polygon", "surface",
+        "Box", "OpenSurfaceError", "SignedDistance", "Solid", "contour", "fractions", "mask",
+        "polygon", "surface",
     }  # fmt: skip
