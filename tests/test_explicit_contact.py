@@ -69,7 +69,6 @@ def mass_of(body):
     return body.mesh.comm.allreduce(float(body["mass"].sum()))
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("functions", ["linear", "gimp", "quadratic"])
 def test_discs_meet_and_part(functions):
     """First force where surfaces meet, no tension, momentum kept, energy kept to 5 percent."""
@@ -112,7 +111,6 @@ def test_ranks_do_not_matter():
         assert a == pytest.approx(b, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.mpi
 def test_blocks_part_without_tension():
     """Pressed together and pulled apart at 0.1 m/s: forces push, then there are none."""
     domain = square(10)
@@ -167,7 +165,6 @@ def sliding_block(mu, functions="linear", per_side=2, off=0.0):
     return sim, contact, gravity
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("functions", "per_side", "off"), [("linear", 2, 0.0), ("gimp", 4, 0.0125)]
 )
@@ -187,7 +184,6 @@ def test_block_slides_by_coulombs_law(functions, per_side, off):
     assert -along / normal == pytest.approx(mu, rel=0.01)
 
 
-@pytest.mark.mpi
 def test_block_sticks_below_the_limit():
     """Pulled by less than friction can hold it sways on the slab, and does not creep."""
     sim, contact, gravity = sliding_block(0.3)
@@ -231,7 +227,6 @@ def test_gap_and_normal_are_those_of_the_points():
         assert (meeting.gap[meeting.meets] > 0).all()
 
 
-@pytest.mark.mpi
 def test_cubes_in_space():
     """Momentum in space, and a fall onto another body that is at rest."""
     kind = mesh.CellType.hexahedron
