@@ -28,7 +28,7 @@ from dolfinx import mesh
 from fenicsmpm import ExplicitMPM, RigidBody, basis, formulations, io, points, shapes
 from fenicsmpm.materials import VonMises
 
-B, CELLS, SIZE = 1.0, 10, 4  # m; cells along B; depth and width of the ground in B
+B, CELLS, SIZE = 1.0, 12, 4  # m; cells along B; depth and width of the ground in B
 STRENGTH = 100.0  # undrained, Pa
 CLAY, DENSITY = VonMises(E=1e6, nu=0.49, sigma_y=math.sqrt(3) * STRENGTH), 1000.0  # kg/m^3
 SETTLEMENT, SPEED = 0.004, 1e-5  # at the end in B; of the footing per speed of pressure waves
