@@ -16,6 +16,20 @@ from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Law, NeoHookean
 from fenicsmpm.points import MaterialPoints
 
+__all__ = [
+    "angular_momentum",
+    "kinetic_energy",
+    "mean_stress",
+    "moment",
+    "momentum",
+    "probe",
+    "resultant",
+    "roughness",
+    "strain_energy",
+    "torque",
+    "turning_points",
+]
+
 
 def momentum(body: MaterialPoints) -> npt.NDArray[np.float64]:
     """Linear momentum, the sum of m v over all points of all ranks (collective).

@@ -12,7 +12,7 @@ import pytest
 import fenicsmpm
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -27,7 +27,7 @@ def pages_with_code():
     return [page for page in PAGES if any(language == "python" for language, _, _ in blocks(page))]
 
 
-@pytest.mark.parametrize("page", pages_with_code(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", pages_with_code(), ids=lambda page: str(page.relative_to(ROOT)))
 def test_code_of_a_page(page, tmp_path, monkeypatch):
     """The Python blocks of a page are one script; a text block after one is what it prints."""
     if "import gmsh" in page.read_text():
@@ -55,13 +55,13 @@ def test_readme_example_is_short_and_prints():
     assert "print(" in code[0]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_of_a_page(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
         assert "://" in target or (page.parent / target).exists(), target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_named_files_exist(page):
     """Paths in backticks, such as `fenicsmpm/forms/form.py`."""
     pattern = r"`((?:fenicsmpm|demos|tests|benchmarks|docs|\.ci)/[\w./]*)`"

@@ -19,6 +19,17 @@ from fenicsmpm.forms.form import Form
 # Attribute of a PETSc matrix: the MatrixCSR in which it is assembled, before rows are handed over
 _WORK = "fenicsmpm_work"
 
+__all__ = [
+    "apply_lifting",
+    "assemble_matrix",
+    "assemble_vector",
+    "create_matrix",
+    "create_vector",
+    "inactive_dofs",
+    "set_bc",
+    "unreached_rows",
+]
+
 
 def create_vector(L: Form) -> PETSc.Vec:
     """Create a ghosted vector for a form of rank 1, filled with zeros."""

@@ -38,13 +38,14 @@ class EnergyMomentum(Response):
     Conservation paper, equations 47 to 51 (O. Gonzalez, CMAME 190, 2000; X. Meng and T. Laursen,
     CMAME 191, 2002): with mean stress S_m = (S_n + S_{n+1}) / 2 and Delta C = C_{n+1} - C_n,
 
-        S = S_m + Delta C / |Delta C|^2 (2 (Delta psi + Delta D) - S_m : Delta C)
+        ``S = S_m + Delta C / |Delta C|^2 (2 (Delta psi + Delta D) - S_m : Delta C)``
 
     so that S : Delta C / 2 is exactly the free energy gained and the work dissipated in the step.
 
-    For Delta C -> 0 the second term vanishes, but its quotient is 0 / 0. Instead of c = |Delta C|^2
-    the denominator is c + e^4 / (c + e^2) with e = 1e-6: smooth, and the energy of a step is then
-    wrong by less than e^3 of the modulus, and by less than e^4 / |Delta C| for larger steps.
+    For Delta C -> 0 the second term vanishes, but its quotient is 0 / 0. Instead of
+    ``c = |Delta C|^2`` the denominator is c + e^4 / (c + e^2) with e = 1e-6. That is smooth, and
+    the energy of a step is then wrong by less than e^3 of the modulus, and by less than
+    ``e^4 / |Delta C|`` for larger steps.
 
     The body carries the stress "S" [Pa] and the "work" psi + D [J/m^3] of the end of the last step;
     they are added here, for its present fields "F" and state.

@@ -30,8 +30,8 @@ class NewtonianFlow:
     Stabilization (after R. Codina, CMAME 191, 2002, in terms of displacements) has for subscales of
     displacement viscosity and inertia, 1 / tau_1 = rho r_a + 2 mu r_v / h^2, with the changes of
     velocity r_v u and of acceleration r_a u in a step; for those of the pressure
-    tau_2 = (2 mu + rho c h) r_v with c^2 = v^2 + |p| / rho, the rate at which points are brought
-    out of order.
+    tau_2 = (2 mu + rho c h) r_v with ``c^2 = v^2 + |p| / rho``, the rate at which points are
+    brought out of order.
 
     Args:
         mu: dynamic viscosity [Pa s], positive.

@@ -13,7 +13,7 @@ from fenicsmpm.points import MaterialPoints
 
 
 def element_size(points: MaterialPoints) -> Any:
-    """Cell size h = |K|^(1/d) [m] of the cell that holds the point (VMS, below equation 21)."""
+    """Cell size ``h = |K|^(1/d)`` [m] of the cell that holds the point (VMS, below equation 21)."""
     return _cell_volume(points) ** (1 / points.mesh.geometry.dim)
 
 

@@ -74,7 +74,7 @@ class Unknown:
     Args:
         over: mesh for a new function; or a function of one's own, on a mixed space if there are
             several parts.
-        parts: names, or ``Part``s, in the order of the space.
+        parts: names, or ``Part`` objects, in the order of the space.
         degree: of the Lagrange functions of parts given by their names.
 
     Attributes:

@@ -33,7 +33,7 @@ def wall(
     With the signed distance d of a point at the end of the motion u and its gradient n, the wall
     presses with p_n = k <-d> along n, k = factor E / h. Coulomb's friction is elastic up to its
     limit, so that it sticks: the point drags a spring of stiffness k along the wall, whose force
-    k |s| is at most ``friction`` times p_n (P. Wriggers, Computational Contact Mechanics, 2006,
+    ``k |s|`` is at most ``friction`` times p_n (P. Wriggers, Computational Contact Mechanics, 2006,
     section 5.2). Points that stick give way by at most ``friction`` p_n / k.
 
     In explicit steps forces are those at the beginning of a step. Waves between a point and the

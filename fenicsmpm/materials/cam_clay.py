@@ -209,7 +209,7 @@ def _work_gradient(F, parameters, state, G):  # type: ignore[no-untyped-def]
 class ModifiedCamClay(Law):
     """Modified Cam-Clay (K. H. Roscoe, J. B. Burland, 1968) in logarithmic strains.
 
-    With pressure p and q = sqrt(3/2) |dev tau| of the Kirchhoff stress tau = J sigma,
+    With pressure p and ``q = sqrt(3/2) |dev tau|`` of the Kirchhoff stress tau = J sigma,
 
         q^2 / M^2 + p (p - p_c) <= 0,    p_c = preconsolidation exp(-eps_v_p / (lambda - kappa)),
 
@@ -225,8 +225,9 @@ class ModifiedCamClay(Law):
     elasticity, and has it back at the same volume.
 
     State: "C_p_inverse" ``(3, 3)``, the inverse plastic right Cauchy-Green tensor; "eps_v_p", the
-    volumetric plastic strain (negative is compaction); "eps_p", the accumulated sqrt(2/3) |plastic
-    strain increment|; "dissipation" [J/m^3], the sum of tau : plastic strain increments.
+    volumetric plastic strain (negative is compaction); "eps_p", the accumulated
+    ``sqrt(2/3) |plastic strain increment|``; "dissipation" [J/m^3], the sum of
+    tau : plastic strain increments.
 
     ``wave_speed_modulus`` is that at the preconsolidation pressure; pressures much above need
     shorter explicit steps.

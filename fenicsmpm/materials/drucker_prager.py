@@ -86,7 +86,7 @@ class DruckerPrager(Frictional):
       sin(phi) / (sqrt(1 - eta_psi^2 / 3) + eta_psi sin(phi) / 3) in general.
 
     State: "C_p_inverse" ``(3, 3)``, the inverse plastic right Cauchy-Green tensor; "eps_p", the
-    accumulated sqrt(2/3) |plastic strain increment| with its volumetric part; "opening", the
+    accumulated ``sqrt(2/3) |plastic strain increment|`` with its volumetric part; "opening", the
     logarithmic plastic volumetric strain at the limit of tension that closes without resistance
     (see ``fenicsmpm.materials.frictional``); "dissipation" [J/m^3], the sum of tau : plastic strain
     increments.

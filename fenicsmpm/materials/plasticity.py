@@ -215,7 +215,7 @@ def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
 class VonMises(Law):
     """Hencky's law with von Mises (J2) plasticity (F-bar paper, section 4; conservation, 7.3, 7.4).
 
-    The Kirchhoff stress tau = J sigma obeys sqrt(3/2) |dev tau| <= sigma_y(eps_p), with the
+    The Kirchhoff stress tau = J sigma obeys ``sqrt(3/2) |dev tau| <= sigma_y(eps_p)``, with the
     accumulated plastic strain eps_p (its rate is sqrt(2/3) times the norm of the plastic one) and
 
         sigma_y(eps_p) = sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p .
@@ -227,7 +227,7 @@ class VonMises(Law):
     The uniaxial strength sigma_y belongs to a shear strength sigma_y / sqrt(3), in plane strain and
     in simple shear; to an undrained strength s_u in triaxial compression, sigma_y = 2 s_u. The
     strengths kappa of the landslide in the F-bar paper (section 4.4) are printed without a yield
-    function. We take them as bounds of |dev tau|, so sigma_y = sqrt(3/2) kappa: then 40.82 and
+    function. We take them as bounds of ``|dev tau|``, so sigma_y = sqrt(3/2) kappa: then 40.82 and
     2.45 kPa are s_u = 25 and 1.5 kPa in triaxial compression, such round numbers in no other norm.
 
     State: the inverse plastic right Cauchy-Green tensor "C_p_inverse" ``(3, 3)``, "eps_p", and

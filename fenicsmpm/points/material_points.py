@@ -168,7 +168,7 @@ class MaterialPoints(PointArrays):
 
     @property
     def cell_offsets(self) -> npt.NDArray[np.int64]:
-        """Points of local cell c are `order[cell_offsets[c]:cell_offsets[c + 1]]`.
+        """Points of local cell c are ``order[cell_offsets[c]:cell_offsets[c + 1]]``.
 
         Shape (owned + ghost cells + 1,), int64.
         """

@@ -91,7 +91,8 @@ class NewtonSolver:
         R: residual, UFL form of rank 1 with integrals over points, cells or facets.
         U: the unknown in it.
         bcs: Dirichlet conditions.
-        J: tangent; None for ``ufl.derivative(R, U)`` and what ``LumpedProjection``s in R add to it.
+        J: tangent; None for ``ufl.derivative(R, U)`` and what each ``LumpedProjection`` in R adds
+            to it.
         rtol: tolerance of the residual relative to the first one. A residual of the size of
             round-off in its own terms is zero, too, whatever units it has.
         atol: absolute tolerance of the residual, in its units.

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Settings of Sphinx; ``docs/build.py`` calls it with the pages and the executed notebooks."""
+
+import typing
+
+import numpy as np
+import numpy.typing as npt
+
+import fenicsmpm
+
+project = "fenicsmpm"
+author = "The fenicsmpm developers"
+copyright = author
+version = release = fenicsmpm.__version__
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_autodoc_typehints",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx-mathjax-offline",
+]
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"  # docs/build.py has executed them
+nb_merge_streams = True
+math_numfig = False
+
+autodoc_default_options = {"members": True, "member-order": "groupwise"}
+autosummary_generate = False
+typehints_use_rtype = False
+typehints_document_rtype_none = False
+
+
+def typehints_formatter(annotation, config):
+    """Arrays as they are called by those who use them, instead of numpy's long unions."""
+    parts = typing.get_args(annotation)
+    array_like = typing.get_args(npt.ArrayLike)
+    if all(part in parts for part in array_like):
+        rest = [part for part in parts if part not in array_like]
+        names = [
+            "None" if part is type(None) else getattr(part, "__name__", str(part)) for part in rest
+        ]
+        return " | ".join(f"``{name}``" for name in ["array_like", *names])
+    if typing.get_origin(annotation) is np.ndarray:
+        (dtype,) = typing.get_args(parts[1])
+        return f"``ndarray[{getattr(dtype, '__name__', dtype)}]``"
+    return None
+
+
+python_use_unqualified_type_names = True
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+
+html_theme = "pydata_sphinx_theme"
+html_title = "fenicsmpm"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
