@@ -196,6 +196,37 @@ def test_plot_shows_curves_and_references(directory):
         io.plot("/proc/none/plot.png", {"a": (t, t)}, "t [s]", "u [m]")
 
 
+@pytest.mark.mpi
+def test_notebooks_show_what_was_drawn(directory):
+    points = fill(unit_mesh("triangle"), 1)
+    points.add_field("p", (), 0.5)
+    path = directory / "p.png"
+    drawn = io.picture(path, points, "p")
+    t = np.linspace(0, 1, 3)
+    curve = io.plot(directory / "t.svg", {"a": (t, t)}, "t [s]", "u [m]")
+    inline = io.picture(None, points, "p")
+    movie = io.animate(directory / "p.gif", [drawn, path])
+    comm.barrier()
+    assert str(drawn) == os.fspath(drawn) == str(path) and repr(drawn) == f"Picture({str(path)!r})"
+    assert drawn._repr_png_() == path.read_bytes() and drawn._repr_html_() is None
+    assert curve._repr_png_() is None and '<img src="data:image/svg+xml' in curve._repr_html_()
+    assert movie._repr_png_() is None
+    assert movie._repr_html_().startswith('<img src="data:image/gif;base64,R0lGODlh')
+    assert inline._repr_png_() == (path.read_bytes() if comm.rank == 0 else None)
+    assert str(inline) == "picture without a file" and inline._repr_html_() is None
+    with pytest.raises(ValueError, match=r"give io\.picture a path"):
+        os.fspath(inline)
+
+
+def test_pictures_whose_file_is_gone_or_no_image_show_as_text(directory):
+    assert io.Picture(directory / "gone.png")._repr_png_() is None
+    (directory / "plot.pdf").write_bytes(b"%PDF")
+    assert io.Picture(directory / "plot.pdf")._repr_html_() is None
+    (directory / "<b>.gif").write_bytes(b"GIF")
+    assert 'alt="' in (shown := io.Picture(directory / "<b>.gif")._repr_html_())
+    assert "&lt;b&gt;" in shown and "<b>" not in shown
+
+
 def test_picture_in_space(directory):
     domain = unit_mesh("hexahedron", 2)
     p, _ = functions(domain)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Output for people and for other programs."""
 
+from fenicsmpm._display import Picture
 from fenicsmpm.io import checkpoint
 from fenicsmpm.io.console import Table, progress, say, show_log, watch
 from fenicsmpm.io.history import History, read_history
@@ -12,6 +13,7 @@ from fenicsmpm.io.series import Series
 
 __all__ = [
     "History",
+    "Picture",
     "Series",
     "Table",
     "animate",

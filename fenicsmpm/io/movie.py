@@ -4,34 +4,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 
 from mpi4py import MPI
 
+from fenicsmpm._display import Picture
 from fenicsmpm.points.agreement import do_there
 
 
 def animate(
     path: str | Path,
-    frames: Sequence[str | Path],
+    frames: Sequence[str | PathLike[str]],
     *,
     comm: MPI.Comm = MPI.COMM_WORLD,
-) -> None:
+) -> Picture:
     """Put pictures together to an animation, 10 a second, for ever (collective, rank 0 works).
+
+    A notebook shows the animation if the call is the last line of a cell.
 
     Args:
         path: file to write, ``.gif``.
-        frames: pictures of the same size, in order.
+        frames: files of pictures of the same size, in order, or what `io.picture` returned.
         comm: communicator of the mesh.
+
+    Returns:
+        The animation, which is printed as its path.
 
     Raises:
         ValueError: on all ranks, without any frames, or for a file that is not ``.gif``.
         OSError: on all ranks, for frames that cannot be read or a file that cannot be written.
     """
     do_there(comm, comm.rank == 0, lambda: _write(Path(path), frames))
+    return Picture(path)
 
 
-def _write(path: Path, frames: Sequence[str | Path]) -> None:
+def _write(path: Path, frames: Sequence[str | PathLike[str]]) -> None:
     from PIL import Image
 
     if not frames or path.suffix != ".gif":

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from fenicsmpm._display import Picture
 from fenicsmpm.io.results import gather_functions, gather_points
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import do_there
@@ -68,7 +70,7 @@ def _unknown(name: str, data: pyvista.DataSet) -> str:
 
 
 def picture(
-    path: str | Path,
+    path: str | Path | None,
     data: Drawable | Mapping[str, Drawable],
     field: str | None = None,
     label: str | None = None,
@@ -79,15 +81,17 @@ def picture(
     cut: float = 0.0,
     bounds: Bounds | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
-) -> None:
+) -> Picture:
     """Draw one field of points or a grid function and write the picture to a file (collective).
 
     Several data are drawn beside one another, with one colour bar. Plane problems are seen from the
     front with axes in m, others obliquely. Rank 0 draws. Where VTK needs an X server and there is
-    none, a virtual one (Xvfb) runs while it draws.
+    none, a virtual one (Xvfb) runs while it draws. A notebook shows the picture if the call is the
+    last line of a cell.
 
     Args:
-        path: file to write, such as "pressure.png"; missing directories are made.
+        path: file to write, such as "pressure.png"; missing directories are made. None for a
+            picture that a notebook shows without a file.
         data: points, several sets of points that are drawn as one, a P1 function, or what
             ``gather_points`` or ``gather_functions`` returned at an earlier time; or titles and
             these, for several pictures.
@@ -104,6 +108,9 @@ def picture(
             animation; None for that of the data.
         comm: communicator of the mesh.
 
+    Returns:
+        The picture, which is printed as its path.
+
     Raises:
         RuntimeError: on all ranks, if nothing can render; says what to install.
         ValueError: on all ranks, for fields or components that the data do not have, functions that
@@ -114,17 +121,21 @@ def picture(
     for title, one in named.items():
         name = one.name if field is None and isinstance(one, fem.Function) else field
         if name is None:
-            raise ValueError(f"{path}: which field is to be drawn? Name it, as in field='p'")
+            raise ValueError(
+                f"{path or 'picture'}: which field is to be drawn? Name it, as in field='p'"
+            )
         panels.append(_Panel(title, _gathered(one), name, component, displacement))
     if not panels:
-        raise ValueError(f"{path}: nothing to draw")
+        raise ValueError(f"{path or 'picture'}: nothing to draw")
     text = label or panels[0].field
 
-    def draw() -> None:
+    def draw() -> bytes | None:
+        target = io.BytesIO() if path is None else Path(path)
         with _display():
-            _draw(Path(path), panels, text, limits or _colour_range(panels, cut), bounds)
+            _draw(target, panels, text, limits or _colour_range(panels, cut), bounds)
+        return target.getvalue() if isinstance(target, io.BytesIO) else None
 
-    do_there(comm, comm.rank == 0, draw)
+    return Picture(path, do_there(comm, comm.rank == 0, draw))
 
 
 def _gathered(data: Drawable) -> pyvista.DataSet | None:
@@ -142,7 +153,7 @@ def _colour_range(panels: Sequence[_Panel], cut: float = 0.0) -> tuple[float, fl
 
 
 def _draw(
-    path: Path,
+    target: Path | io.BytesIO,
     panels: Sequence[_Panel],
     label: str,
     limits: tuple[float, float],
@@ -194,8 +205,9 @@ def _draw(
         extend=_cut(panels, limits),
         pad=0.02,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=160)
+    if isinstance(target, Path):
+        target.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(target, dpi=160)
 
 
 def _cut(panels: Sequence[_Panel], limits: tuple[float, float]) -> str:

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy.typing as npt
 
+from fenicsmpm._display import Picture
 from fenicsmpm.io.history import History
 from fenicsmpm.points.agreement import do_there
 
@@ -25,8 +26,10 @@ def plot(
     *,
     reference: Mapping[str, Curve | float] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
-) -> None:
+) -> Picture:
     """Draw curves into one diagram and write it to a file (collective, rank 0 draws).
+
+    A notebook shows the diagram if the call is the last line of a cell.
 
     Args:
         path: file to write, such as "tip.png"; missing directories are made.
@@ -36,6 +39,9 @@ def plot(
         ylabel: text at the axis of y, with the unit; None for the title of a history's one column.
         reference: what to compare with, drawn in broken lines: curves, or one value for all x.
         comm: communicator of the mesh.
+
+    Returns:
+        The diagram, which is printed as its path.
 
     Raises:
         OSError: on all ranks, if the file cannot be written.
@@ -58,6 +64,7 @@ def plot(
         raise ValueError(f"{path}: the axes need a text, such as xlabel='t [s]', ylabel='u [m]'")
     texts, known = (xlabel, ylabel), reference or {}
     do_there(comm, comm.rank == 0, lambda: _draw(Path(path), lines, *texts, known))
+    return Picture(path)
 
 
 def _one_column(label: str, history: History) -> tuple[str, str]:
