@@ -132,6 +132,7 @@ def pages() -> None:
     for page in SOURCE.rglob("*.md"):
         text = page.read_text()
         new = re.sub(r"\]\((?:\.\./)*demos/(\w+)\.py", r"](/gallery/\1.ipynb", text)
+        new = re.sub(r"\]\((?:[\w./]*/)?([1-8]_\w+)\.py", r"](/tutorial/\1.ipynb", new)
         new = re.sub(r"\]\((?:\.\./)*docs/", "](/", new)
         for old, place in MOVED.items():
             new = re.sub(rf"\]\((?:\.\./)*{re.escape(old)}", f"](/{place}", new)
