@@ -1,31 +1,38 @@
 # SPDX-License-Identifier: MIT
-"""Consolidation of saturated soil, with small and with large strains.
 
-A layer of clay lies under a tight membrane on a porous floor, where a pump lowers the pressure of
-the pore water by q at once and keeps it there. Water leaves, and as it does, the skeleton takes
-over the load q: the problem of Terzaghi (1923), but for a constant pressure. With the load on top
-instead of the pump the pore pressure is larger by q everywhere.
+# # Consolidation of saturated soil
+#
+# Clay under load settles for years, because water leaves its pores slowly. K. Terzaghi described it
+# in 1923, for small strains. This tour solves his problem with a pore pressure as a second unknown,
+# checks the settlement against his series, and goes on to a load that squeezes the layer to less
+# than three quarters of its height. There, the final settlement is known from the law.
+#
+# ## Problem
+#
+# A layer of clay lies under a tight membrane on a porous floor. A pump lowers the pressure of the
+# pore water below by $q$ at once and keeps it there. Water leaves, and the skeleton takes over the
+# load $q$. That is Terzaghi's problem but for a constant: with the load on top instead of the pump,
+# the pore pressure is larger by $q$ everywhere.
+#
+# Water and grains are incompressible. What a piece of soil loses in volume flows out of it,
+# relative to the skeleton, by Darcy's law with the mobility $K$ = permeability / viscosity. With
+# the effective stress $\mathbf P'$ of the skeleton, the pore pressure $\pi$, positive in
+# compression, and $j = \det\mathbf f$ of the step, the equations per volume at the beginning of the
+# step are, for all $\mathbf w$ and $s$,
+#
+# $$
+# \begin{aligned}
+# (\mathbf P', \operatorname{Grad}\mathbf w) - (\pi, \mathrm D j[\mathbf w]) &= 0, \\
+# (j - 1, s) + \Delta t\,(K j\,\nabla\pi, \nabla s)
+# + \frac{h^2}{4M}\,(\nabla(\pi - \pi_\mathrm{old}), \nabla s) &= 0 .
+# \end{aligned}
+# $$
+#
+# The last term stabilizes elements of equal order in steps shorter than $h^2/(KM)$, where $M$ is
+# the modulus of the skeleton in one dimension (G. Aguilar, F. Gaspar, F. Lisbona and C. Rodrigo,
+# IJNME 75, 2008). Without it, pressures swing by more than $q$ at first: try `STABILIZATION = 0`.
 
-Water and grains are incompressible, so that what a piece of soil loses in volume is what flows out
-of it, relative to the skeleton and by Darcy's law with the mobility K = permeability / viscosity.
-With the effective stress P' of the skeleton by the law, the pore pressure "pore" (positive where it
-presses, other than the mean stress "p" of the package), and j = det f of the step,
-
-    (P', Grad w) - (pore, D j[w]) = 0                               balance of momentum,
-    (j - 1, s) + dt (K j grad pore, grad s)
-               + h^2 / (4 M) (grad (pore - pore_old), grad s) = 0   balance of mass
-
-for all w and s, per volume of the step's beginning. The last term is needed by elements of equal
-order in steps shorter than h^2 / (K M), M being the modulus of the skeleton in one dimension;
-without it pressures at first swing by more than q (``STABILIZATION = 0``). It is that of Aguilar,
-Gaspar, Lisbona and Rodrigo (IJNME 75, 2008). For its pore_old, and for nothing else, the pore
-pressure is a history of the points. They take its change (FLIP): mapped to and fro in many short
-steps, the values themselves (PIC) would be smeared, and the first settlement too large by half.
-
-A small load must give Terzaghi's degree of consolidation. A large one ends where the law says: with
-Hencky's law the stretch l of the layer obeys M ln(l) / l = -q, so ln(l) = -W(q / M), Lambert's W.
-"""
-
+# +
 from mpi4py import MPI
 
 import numpy as np
@@ -36,11 +43,18 @@ from scipy.special import lambertw
 from fenicsmpm import ImplicitMPM, formulations, io, points
 from fenicsmpm.materials import Hencky
 
+# -
+
 HEIGHT, CELLS, PER_SIDE = 1.0, 40, 3  # m; cells in a column, points along a side of a cell
 DENSITY, MOBILITY = 2000.0, 1e-13  # kg/m^3, m^2/(Pa s)
 SKELETON = Hencky(E=1e6, nu=0.3)  # Pa
 LOADS = 1e-3, 0.5  # q / M
 STABILIZATION, FLIP = 1.0, 1.0
+
+# ## Reference
+#
+# In units of $H^2/(KM)$, Terzaghi's degree of consolidation at the time $T$ is
+# $1 - \sum_k 2\,e^{-m_k^2 T} / m_k^2$ with $m_k = (2k + 1)\,\pi/2$. The steps grow with the time.
 
 M = SKELETON.kappa + 4 / 3 * SKELETON.mu  # Pa
 UNIT = HEIGHT**2 / (MOBILITY * M)  # s
@@ -48,8 +62,18 @@ times = np.geomspace(1e-5, 4, 160)  # in this unit
 odd = np.pi / 2 * np.arange(1, 1000, 2)
 terzaghi = 1 - np.sum(2 / odd**2 * np.exp(-np.outer(times, odd**2)), axis=1)
 h = HEIGHT / CELLS
-curves = {}
 
+# ## Simulation
+#
+# The unknown has two parts, the increment of displacement and `pore`. The pore pressure is a
+# history of the points, because the stabilization needs its old value. Points take its change on
+# the grid (`flip=1`). If they took its value, many short steps would smear it, and the first
+# settlement would be too large by half.
+#
+# A large load ends where Hencky's law says. The stretch $\lambda$ of the layer obeys
+# $M \ln\lambda / \lambda = -q$, so $\ln\lambda = -W(q/M)$ with Lambert's function $W$.
+
+curves = {}
 for load in LOADS:
     domain = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (h, HEIGHT)], [1, CELLS], mesh.CellType.quadrilateral
@@ -79,6 +103,11 @@ for load in LOADS:
     final = HEIGHT * (1 - np.exp(-lambertw(load).real))
     curves[f"q / M = {load:g}"] = np.sqrt(times), np.array(settlement) / final
     io.say(f"q / M = {load:g}: settlement {settlement[-1]:.6f} m, exact {final:.6f} m")
+
+# ## Results
+#
+# Over the square root of time, the settlement begins as a straight line. With large strains the
+# layer gets thinner on the way, and the water's path shorter.
 
 small, large = (degree for _, degree in curves.values())
 deviation = np.abs(small / terzaghi - 1)[times > 0.003].max()

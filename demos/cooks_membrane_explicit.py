@@ -1,25 +1,38 @@
 # SPDX-License-Identifier: MIT
-"""Cook's membrane, explicit.
 
-The nearly incompressible panel of ``cooks_membrane.py``, now by explicit steps with local damping,
-until it has come to rest: section 4.1 of Y. Zhao, C. Jiang and J. Choo, "Circumventing volumetric
-locking in explicit material point methods". The background mesh is a lattice, and points see
-quadratic B-splines. The load is carried by the last column of points, as in the paper. It is dead:
-forces stay as they are while the points that carry them move with the grid.
+# # Explicit Cook's membrane and F-bar
+#
+# Most MPM codes take explicit steps, where no pressure unknown can keep the volume. Nearly
+# incompressible bodies then lock: they are too stiff, and their mean stress is a checkerboard. This
+# tour cures that by averages of the volume change, the F-bar method. Local damping brings the panel
+# of [Cook's membrane](cooks_membrane.py) to rest, and its tip is compared with finite elements.
+#
+# The problem is section 4.1 of Y. Zhao, C. Jiang and J. Choo, *Circumventing volumetric locking in
+# explicit material point methods: A simple, efficient, and general approach* (F-bar).
+#
+# ## Method
+#
+# In each step, the forces of the points give the nodes velocities, and these give the points new
+# positions, deformation gradients and stresses. Stresses do not follow from $\mathbf F$, but from
+# (F-bar, equation 18, in two dimensions)
+#
+# $$
+# \bar{\mathbf F} = \left(\frac{\bar J}{J}\right)^{1/2} \mathbf F, \qquad J = \det\mathbf F .
+# $$
+#
+# The average $\bar J$ is a sum over points to the nodes, weighted by volume, and back (equations 19
+# and 20, where $w_{ip}$ is the function of node $i$ at point $p$):
+#
+# $$
+# \bar J_p = \sum_i w_{ip} \frac{\sum_q w_{iq} V_q J_q}{\sum_q w_{iq} V_q} =: \Pi(J_p).
+# $$
+#
+# The paper's algorithm 1 averages $\bar J$ again in each step (equation 26). It then drifts away
+# from $J$, and a panel under constant load creeps. By default, each step here mixes a share $r$ of
+# the true $J$ into it: $\bar J \leftarrow \Pi\big((1 - r)\,\bar J\,\Delta J + r J\big)$ with
+# $r = 0.03$.
 
-In each step the forces of points give the nodes velocities, and these give points new positions,
-deformation gradients and stresses. Where volume hardly changes, volumes of single points lock: the
-mean stress is a checkerboard. So stresses are found from
-
-    F_bar = (J_bar / J)^(1/2) F
-
-with averages J_bar of J = det F, which are sums over points to the nodes, weighted by volume, and
-back. Averaged again in each step, as in the paper's algorithm 1, they drift away from J, and the
-panel creeps under its load. By default each step mixes 3 percent of the true J into them.
-
-Other averages, uGIMP, triangles and finer cells: ``studies/explicit.py cook``.
-"""
-
+# +
 from mpi4py import MPI
 
 import numpy as np
@@ -29,10 +42,19 @@ from fenicsmpm import ExplicitMPM, basis, formulations, io, points
 from fenicsmpm.diagnostics import mean_stress, probe, roughness
 from fenicsmpm.materials import NeoHookean
 
+# -
+
 H, STEPS, DAMPING = 1.0, 20000, 0.8  # size of cells in m; share of local damping
 LOAD = 1.0  # N in all, on the right edge of 16 m
 AVERAGES = {"F-bar": "default", "no averages": None}
 REFERENCE = 0.2765  # m, tip by P2-P1 finite elements on fine meshes
+
+# ## Simulation
+#
+# The panel is computed twice, with averages and without. The background mesh is a lattice of
+# squares, on which points see quadratic B-splines. As in the paper, the last column of points
+# carries the load. `R` has no inertia: explicit steps divide its forces by the lumped mass. The
+# steps are as long as `cfl` says, in units of the time in which a pressure wave crosses a cell.
 
 
 def panel(x):
@@ -70,9 +92,18 @@ for name, averages in AVERAGES.items():
     deviation = tips[name]["tip [m]"][-1] / REFERENCE - 1
     io.say(f"{name}: tip {deviation:+.2%} off {REFERENCE} m, roughness of p {rough[name]:.3f}")
 
+# ## Results
+#
+# Without averages, the mean stress is noise. `roughness` measures it: the part that changes from
+# point to point, here as a share of the load per area.
+
 io.picture(
     "output/cooks_membrane_explicit.png", clouds, "p", "mean stress [Pa]", limits=(-0.1, 0.1)
 )
+
+# The tips come to rest. The one with averages agrees with finite elements. For other averages,
+# uGIMP, triangles and finer cells, see `studies/explicit.py cook`.
+
 io.plot("output/cooks_membrane_explicit_tip.png", tips, reference={"finite elements": REFERENCE})
 
 assert abs(tips["F-bar"]["tip [m]"][-1] / REFERENCE - 1) < 0.02  # P2-P1 finite elements

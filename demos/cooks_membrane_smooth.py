@@ -1,21 +1,37 @@
 # SPDX-License-Identifier: MIT
-"""Smooth functions: Cook's membrane in motion with few points.
 
-The problem is that of demos/cooks_membrane_dynamic.py. There, points cross cells of linear
-functions, whose gradients jump. Each crossing is a small push, and the pushes eat energy unless
-there are very many points. Here, displacement and mean stress are quadratic B-splines on a lattice
-of squares: their gradients are continuous, and 9 points a square are enough. Four things belong
-together (docs/smooth.md):
+# # Cook's membrane on B-splines
+#
+# The gradients of linear functions jump across the edges of cells. Each material point that crosses
+# an edge gets a small push, and the pushes eat energy, unless there are very many points. The panel
+# of [Cook's membrane in motion](cooks_membrane_dynamic.py) needs 33 points in a triangle. Here it
+# swings on quadratic B-splines, whose gradients are continuous. Nine points in a square are enough,
+# and after two and a half oscillations the energy is still there.
+#
+# ## Formulation
+#
+# Displacement and mean stress are both sums of B-splines, of the nodes of the same lattice of
+# squares. The momentum is that of the tour before, and the constraint has an interior penalty (E.
+# Burman and P. Hansbo, CMAME 195, 2006) instead of subgrid scales:
+#
+# $$
+# (\rho\,\mathbf a, \mathbf w) + (\boldsymbol\sigma_\mathrm{dev}, \nabla\mathbf w)
+# + (p, \nabla\cdot\mathbf w) = \langle\mathbf t, \mathbf w\rangle_\mathrm{edge}, \qquad
+# (J - 1, q) - \frac{\gamma h^3}{2\mu}
+# \big([\nabla p\cdot\mathbf n], [\nabla q\cdot\mathbf n]\big) = 0 .
+# $$
+#
+# Four things belong together:
+#
+# - B-splines for both $\mathbf u$ and $p$, chosen by `basis.use`.
+# - The interior penalty, which makes equal orders stable. Splines have no kinks, so the penalty is
+#   taken on the linear functions of the same nodal values, whose jumps $[\,\cdot\,]$ are second
+#   differences.
+# - Tied nodes. A node that sees little of the body takes the linear continuation of well-filled
+#   cells.
+# - Corrected weights, which integrate constants exactly in full cells.
 
-- splines for both, u and p (``basis.use``), on the nodes of the same lattice;
-- the interior penalty on jumps of the gradient of p, in terms of the linear functions of the same
-  nodal values, -gamma h^3 / (2 mu) ([grad p . n], [grad q . n]): it makes equal orders stable;
-- nodes that see little of the body are tied to the linear continuation of well-filled cells;
-- weights of points in full cells are corrected so that constants are integrated exactly.
-
-Kinetic and strain energy less the work of the load should be zero.
-"""
-
+# +
 from pathlib import Path
 
 from mpi4py import MPI
@@ -23,16 +39,23 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import mesh
 
+import fenicsmpm
 from fenicsmpm import ImplicitMPM, basis, formulations, io, points
 from fenicsmpm.cells import ActiveCells, Tying, correct_weights
 from fenicsmpm.diagnostics import kinetic_energy, probe, strain_energy, turning_points
 from fenicsmpm.materials import NeoHookean
 
+# -
+
 H, PER_SIDE, FUNCTIONS = 0.2, 3, "quadratic"  # m; points along a side of a square
 LAW, DENSITY = NeoHookean(E=250.0, nu=0.5), 1.0  # Pa, kg/m^2
 TRACTION, TIP = np.array([0.0, 6.25]), (4.8, 6.0)  # Pa, m
 DT, END, PICTURES = 0.025, 7.0, (1.35, 2.75)  # s
-REFERENCE = Path(__file__).parents[1] / "benchmarks" / "references" / "cook_dynamic.csv"
+
+# ## Bodies
+#
+# Splines reach beyond the neighbouring cell. The partitioner gives each rank the cells that its
+# points see.
 
 
 def panel(x):
@@ -50,6 +73,10 @@ tip = points.at(domain, TIP)
 for p in (body, edge, tip):
     basis.use(p, FUNCTIONS)
 
+# ## Weak form
+#
+# Only one line differs from linear triangles: `interior_penalty` instead of `asgs`.
+
 z = formulations.Unknown(domain, "u", "p")
 z.fix("u", lambda x: np.isclose(x[0], 0))
 scheme = formulations.Bossak(z, dt=DT)
@@ -58,6 +85,9 @@ R = formulations.mixed(z, body, LAW, force=scheme.force(body))
 R += formulations.interior_penalty(z, cells, LAW)
 R += formulations.dead_load(z.test.u, edge, TRACTION)
 
+# ## Time steps
+#
+# The history has the energy of the panel and the work of the load. Their difference should be zero.
 
 columns = {
     "u_y of the tip [m]": lambda sim: probe(tip, "u")[1],
@@ -75,7 +105,16 @@ for end in (*PICTURES, END):
         pass
     clouds[f"t = {end} s"] = io.gather_points(body)
 
-t, _, expected = np.loadtxt(REFERENCE, delimiter=",").T
+# ## Results
+#
+# The pressure at the first peak, at the first minimum, and after 7 s:
+
+io.picture("output/cooks_membrane_smooth.png", clouds, "p", "mean stress p [Pa]", cut=1)
+
+# The turning points of the tip are compared with those of total Lagrangian P2-P1 finite elements.
+
+reference = Path(fenicsmpm.__file__).parents[1] / "benchmarks" / "references" / "cook_dynamic.csv"
+t, _, expected = np.loadtxt(reference, delimiter=",").T
 turns = turning_points(t[t <= END], expected[t <= END])
 found = turning_points(history["t [s]"], history["u_y of the tip [m]"])
 peak = expected.max()
@@ -84,11 +123,13 @@ deviations = [(y - y_ref) / peak for (_, y), (_, y_ref) in pairs]
 lack = (history["energy [J]"] - history["work [J]"]) / history["work [J]"].max()
 io.say("turning points off by " + ", ".join(f"{d:+.1%}" for d in deviations) + " of the first peak")
 io.say(f"energy at the end off by {lack[-1]:+.1%} of the largest work")
+
+# The amplitude stays, because hardly any energy gets lost.
+
 shown = {"splines, 9 points a square": (history["t [s]"], history["u_y of the tip [m]"])}
 curve = {"P2-P1 finite elements": (t[t <= END], expected[t <= END])}
 labels = "t [s]", "vertical displacement of the tip [m]"
 io.plot("output/cooks_membrane_smooth_tip.png", shown, *labels, reference=curve)
-io.picture("output/cooks_membrane_smooth.png", clouds, "p", "mean stress p [Pa]", cut=1)
 
 assert np.abs(deviations).max() < 0.022  # benchmarks/references
 assert np.abs(lack).max() < 0.015

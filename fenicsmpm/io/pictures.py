@@ -18,6 +18,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from scipy.spatial import cKDTree
 
 from fenicsmpm._display import Picture
 from fenicsmpm.io.results import gather_functions, gather_points
@@ -174,7 +175,7 @@ def _draw(
     images = [
         _image_of_plane(shape, panel.values(), limits, lower, upper)
         if plane
-        else _image_of_space(shape, panel.values(), limits, lower, upper, bounds is None)
+        else _image_of_space(shape, panel.values(), limits, lower, upper)
         for shape, panel in zip(shapes, panels, strict=True)
     ]
     extent = (lower[0], upper[0], lower[1], upper[1]) if plane else None
@@ -182,6 +183,8 @@ def _draw(
     height, width = np.max([image.shape[:2] for image in images], axis=0)
     inches = _INCHES / max(height, width)
     columns = len(panels) if len(panels) <= 4 else int(np.ceil(np.sqrt(len(panels))))
+    if width > 2 * height:
+        columns = 1  # flat ones below one another
     rows = -(-len(panels) // columns)
     size = (columns * (width * inches + 0.15) + 1.2, rows * (height * inches + 0.4) + 0.5)
     figure = Figure(figsize=size, layout="constrained")
@@ -256,26 +259,21 @@ def _image_of_space(
     limits: tuple[float, float],
     lower: npt.NDArray[np.float64],
     upper: npt.NDArray[np.float64],
-    crop: bool,
 ) -> npt.NDArray[np.uint8]:
-    """Image of the box from lower to upper, seen obliquely, without white margins if cropped."""
-    across = float(np.linalg.norm(upper - lower))
-    scale = _PIXELS / across
-    window = [_PIXELS, _PIXELS]
+    """Image of the box from lower to upper, seen obliquely, as large as the box appears."""
+    x, y, z = upper - lower
+    size = np.array([(x + y) / np.sqrt(2), (x + y + 2 * z) / np.sqrt(6)])  # isometric view
+    scale = _PIXELS / size.max()  # pixels a m
+    window = [max(1, round(s)) for s in scale * size]
     with _plotter(shape, values, limits, window, scale * _spacing(shape), True) as plotter:
         plotter.add_axes()
         plotter.view_isometric()
         centre = (lower + upper) / 2
         plotter.camera.focal_point = centre
-        plotter.camera.position = centre + across * np.ones(3)
-        plotter.camera.parallel_scale = across / 2
+        plotter.camera.position = centre + (x + y + z) * np.ones(3)
+        plotter.camera.parallel_scale = size[1] / 2
         plotter.reset_camera_clipping_range()
-        image = np.asarray(plotter.screenshot(return_img=True))
-    if not crop:
-        return image
-    drawn = np.argwhere((image < 255).any(axis=2))
-    (top, left), (bottom, right) = drawn.min(axis=0), drawn.max(axis=0)
-    return image[top : bottom + 1, left : right + 1]
+        return np.asarray(plotter.screenshot(return_img=True))
 
 
 @contextmanager
@@ -302,8 +300,8 @@ def _plotter(
             lighting=lighting,
             ambient=0.4 if lighting else 0.0,
             diffuse=0.6 if lighting else 1.0,
-            # gaps of some pixels show points one by one, smaller ones would be a moire
-            point_size=max(0.75 * point_size, min(1.5 * point_size, 6.0), 2.0),
+            # small ones overlap more: gaps of less than a pixel would be a moire
+            point_size=max(1.1 * point_size, min(1.5 * point_size, 6.0), 2.0),
             render_points_as_spheres=True,
         )
         plotter.enable_parallel_projection()
@@ -313,10 +311,15 @@ def _plotter(
 
 
 def _spacing(shape: Any) -> float:
-    """Distance of neighbours [m], if the box around the points were full of them."""
-    size = np.ptp(shape.points, axis=0)
-    size = size[size > 0]
-    return float((np.prod(size) / shape.n_points) ** (1 / len(size))) if len(size) else 0.0
+    """Distance of neighbours [m]: in a lattice, 3^d - 1 points are within sqrt(d) of it."""
+    x = shape.points
+    dim = np.count_nonzero(np.ptp(x, axis=0))
+    neighbours = min(3**dim, len(x))  # with the point itself
+    if neighbours < 2:
+        return 0.0
+    some = x[:: len(x) // 1000 + 1]
+    distances = cKDTree(x).query(some, k=[neighbours])[0]
+    return float(np.median(distances) / np.sqrt(dim))
 
 
 @contextmanager
