@@ -5,7 +5,9 @@ import errno
 import logging
 import os
 import subprocess
+import sys
 import time
+import types
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -19,7 +21,7 @@ from dolfinx import fem, mesh
 
 import fenicsmpm
 from fenicsmpm import io
-from fenicsmpm.io import console, pictures
+from fenicsmpm.io import pictures
 from fenicsmpm.points import fill
 
 comm = MPI.COMM_WORLD
@@ -336,7 +338,7 @@ def test_log_is_printed_once(capsys):
 
 
 def test_a_bar_says_how_far_a_run_is(capsys, monkeypatch):
-    monkeypatch.setattr(console, "_has_terminal", lambda: True)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     newton = SimpleNamespace(iterations=4)
 
     def steps():
@@ -348,6 +350,28 @@ def test_a_bar_says_how_far_a_run_is(capsys, monkeypatch):
     shown = capsys.readouterr().err
     assert "beam:  50%" in shown and "1/2 s" in shown
     assert "step 2, 4 Newton iterations" in shown
+
+
+def test_a_bar_of_a_notebook_is_markup_and_vanishes(monkeypatch):
+    shown = []
+    display = types.ModuleType("IPython.display")
+    display.HTML = str
+    handle = SimpleNamespace(update=shown.append)
+    display.display = lambda content, display_id: (shown.append(content), handle)[1]
+    ipython = types.ModuleType("IPython")
+    ipython.get_ipython = lambda: SimpleNamespace(kernel=None)
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    for _ in io.progress(range(2), "<b>"):
+        time.sleep(0.15)
+    if comm.rank == 0:
+        assert shown[-1] == ""
+        half = next(text for text in shown if "50%" in text)
+        assert half.startswith('<code>&lt;b&gt;:  50%</code> <progress value="0.5000"></progress>')
+        assert "<code>1/2 [" in half
+    shown.clear()
+    list(io.progress(iter("ab"), "all"))
+    assert (comm.rank > 0) == (not shown) and "value" not in "".join(shown)
 
 
 def test_progress_goes_through_all(capsys):
