@@ -109,7 +109,7 @@ async def execute(script: Path, folder: Path, free: asyncio.Semaphore) -> str | 
 async def execute_all(scripts: list[Path]) -> None:
     """Execute what has changed, as many at once as there are cores."""
     free = asyncio.Semaphore(len(os.sched_getaffinity(0)))
-    os.environ.update(NUMBA_NUM_THREADS="1", PYVISTA_OFF_SCREEN="true")
+    os.environ.update(NUMBA_NUM_THREADS="1", PYVISTA_OFF_SCREEN="true", TQDM_DISABLE="1")
     jobs = []
     for script in scripts:
         folder = NOTEBOOKS / script.stem

@@ -5,7 +5,9 @@ import errno
 import logging
 import os
 import subprocess
+import sys
 import time
+import types
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -19,7 +21,7 @@ from dolfinx import fem, mesh
 
 import fenicsmpm
 from fenicsmpm import io
-from fenicsmpm.io import console, pictures
+from fenicsmpm.io import pictures
 from fenicsmpm.points import fill
 
 comm = MPI.COMM_WORLD
@@ -218,6 +220,30 @@ def test_notebooks_show_what_was_drawn(directory):
         os.fspath(inline)
 
 
+@pytest.mark.mpi
+def test_points_plot_themselves(directory):
+    points = fill(unit_mesh("quadrilateral", 2), 1)
+    points.remove(lambda x: x[0] + x[1] > 1.2)
+    points.add_field("p", (), 0.5)
+    io.picture(directory / "p.png", points, "p", "p [Pa]", limits=(0.0, 1.0))
+    io.picture(directory / "plain.png", points)
+    coloured, plain = points.plot("p", "p [Pa]", limits=(0.0, 1.0)), points.plot()
+    comm.barrier()
+    if comm.rank == 0:
+        assert coloured._repr_png_() == (directory / "p.png").read_bytes()
+        assert plain._repr_png_() == (directory / "plain.png").read_bytes()
+    # a point in three of four cells, whose edges cross the whole mesh, and no colour bar
+    image = (255 * matplotlib.image.imread(directory / "plain.png")[..., :3]).astype(int)
+    silver = (np.abs(image - 192) < 30).all(axis=-1)
+    assert (np.abs(image - (31, 119, 180)) < 40).all(axis=-1).mean() > 0.02
+    inside = image.shape[1] // 2
+    assert (silver[:, inside - 200 : inside + 200].mean(axis=1) > 0.8).sum() >= 3
+    with pytest.raises(ValueError, match="no field 'q'"):
+        points.plot("q")
+    with pytest.raises(ValueError, match="which field is to be drawn"):
+        io.picture(None, {"points": points, "grid": functions(unit_mesh("triangle"))[0]})
+
+
 def test_pictures_whose_file_is_gone_or_no_image_show_as_text(directory):
     assert io.Picture(directory / "gone.png")._repr_png_() is None
     (directory / "plot.pdf").write_bytes(b"%PDF")
@@ -282,9 +308,9 @@ def test_colour_range_cuts_singular_values():
     data = pyvista.PolyData(np.random.default_rng(1).random((1000, 3)))
     data["p"] = np.linspace(0.0, 1.0, 1000)
     data["p"][0] = -1e6
-    panels = [pictures._Panel("", data, "p", None, None)]
-    assert pictures._colour_range(panels)[0] == -1e6
-    assert pictures._colour_range(panels, cut=1) == pytest.approx((0.01, 0.99), abs=1e-3)
+    values = [pictures._Panel("", data, "p").values()]
+    assert pictures._colour_range(values)[0] == -1e6
+    assert pictures._colour_range(values, cut=1) == pytest.approx((0.01, 0.99), abs=1e-3)
 
 
 def test_table_is_aligned(capsys):
@@ -312,7 +338,7 @@ def test_log_is_printed_once(capsys):
 
 
 def test_a_bar_says_how_far_a_run_is(capsys, monkeypatch):
-    monkeypatch.setattr(console, "_has_terminal", lambda: True)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     newton = SimpleNamespace(iterations=4)
 
     def steps():
@@ -324,6 +350,28 @@ def test_a_bar_says_how_far_a_run_is(capsys, monkeypatch):
     shown = capsys.readouterr().err
     assert "beam:  50%" in shown and "1/2 s" in shown
     assert "step 2, 4 Newton iterations" in shown
+
+
+def test_a_bar_of_a_notebook_is_markup_and_vanishes(monkeypatch):
+    shown = []
+    display = types.ModuleType("IPython.display")
+    display.HTML = str
+    handle = SimpleNamespace(update=shown.append)
+    display.display = lambda content, display_id: (shown.append(content), handle)[1]
+    ipython = types.ModuleType("IPython")
+    ipython.get_ipython = lambda: SimpleNamespace(kernel=None)
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    for _ in io.progress(range(2), "<b>"):
+        time.sleep(0.15)
+    if comm.rank == 0:
+        assert shown[-1] == ""
+        half = next(text for text in shown if "50%" in text)
+        assert half.startswith('<code>&lt;b&gt;:  50%</code> <progress value="0.5000"></progress>')
+        assert "<code>1/2 [" in half
+    shown.clear()
+    list(io.progress(iter("ab"), "all"))
+    assert (comm.rank > 0) == (not shown) and "value" not in "".join(shown)
 
 
 def test_progress_goes_through_all(capsys):

@@ -2,10 +2,10 @@
 
 # # 2. Forms over points
 #
-# A finite element code integrates weak forms by quadrature: it evaluates the integrand at Gauss points and
-# adds up the values with weights. MPM does the same with other points. The material points are the
-# quadrature points, and their volumes are the weights. So `fenicsmpm` needs no language of its own: a
-# set of points has a UFL measure, `body.dx`.
+# A finite element code integrates weak forms by quadrature: it evaluates the integrand at Gauss
+# points and adds up the values with weights. MPM does the same with other points. The material
+# points are the quadrature points, and their volumes are the weights. So `fenicsmpm` needs no
+# language of its own: a set of points has a UFL measure, `body.dx`.
 
 # +
 from mpi4py import MPI
@@ -23,9 +23,9 @@ value = forms.assemble_scalar(forms.form(ufl.sin(np.pi * x[0]) * body.dx))
 print(f"integral of sin(pi x): {value:.5f}, exactly {2 / np.pi:.5f}")
 # -
 
-# `forms.form` and the functions `assemble_scalar`, `assemble_vector` and `assemble_matrix` have the names that
-# they have in dolfinx. Arguments, coefficients and constants are those of dolfinx. With points at the places
-# of a Gauss rule they also give the same numbers, to round-off:
+# `forms.form` and the functions `assemble_scalar`, `assemble_vector` and `assemble_matrix` have
+# the names that they have in dolfinx. Arguments, coefficients and constants are those of dolfinx.
+# With points at the places of a Gauss rule they also give the same numbers, to round-off:
 
 # +
 V = fem.functionspace(domain, ("Lagrange", 1))
@@ -39,8 +39,8 @@ assert np.abs(ours - theirs).max() < 1e-15
 
 # ## Fields at points
 #
-# What a point carries is a coefficient, too: `body.field("k")`. Here it is a conductivity that grows from 1
-# on the left to 10 on the right. It could as well come from a measurement. We solve
+# What a point carries is a coefficient, too: `body.field("k")`. Here it is a conductivity that
+# grows from 1 on the left to 10 on the right. It could as well come from a measurement. We solve
 #
 # $$\int_\Omega k \nabla T \cdot \nabla w \,\mathrm d x = 0 \quad \forall w, \qquad
 #   T = 0 \text{ at } x = 0, \quad T = 1 \text{ at } x = 1,$$
@@ -48,7 +48,7 @@ assert np.abs(ours - theirs).max() < 1e-15
 # with `NewtonSolver`, which takes a residual and finds the tangent by `ufl.derivative`.
 
 # +
-from fenicsmpm import formulations, solvers  # noqa: E402
+from fenicsmpm import formulations, solvers
 
 body.add_field("k", (), 1.0 + 9.0 * body.x[:, 0])
 z = formulations.Unknown(domain, "T")  # one part named T, linear functions
@@ -72,5 +72,6 @@ io.picture("output/2_forms_over_points.png", body, "T", "temperature [-]")
 
 # ## Your turn
 #
-# Make the conductivity depend on the temperature: multiply the integrand by `(1 + z.T)`. The problem is now
-# nonlinear, and nothing else changes. Print what `solve()` returns to see how many iterations it took.
+# Make the conductivity depend on the temperature: multiply the integrand by `(1 + z.T)`. The
+# problem is now nonlinear, and nothing else changes. Print what `solve()` returns to see how many
+# iterations it took.

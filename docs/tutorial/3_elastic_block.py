@@ -2,9 +2,9 @@
 
 # # 3. An elastic body at rest
 #
-# Now the points carry a solid. A cantilever of rubber, 4 m long and 1 m high, is clamped on its left and
-# loaded by its own weight. It lies in a background mesh that is larger than the body, and it does not end
-# where cells end.
+# Now the points carry a solid. A cantilever of rubber, 4 m long and 1 m high, is clamped on its
+# left and loaded by its own weight. It lies in a background mesh that is larger than the body,
+# and it does not end where cells end.
 
 # +
 from mpi4py import MPI
@@ -27,15 +27,15 @@ print(body)
 
 # ## Weak form
 #
-# The unknown is the displacement $\mathbf u$, and the weak form is that of nonlinear elasticity: find
-# $\mathbf u$ such that
+# The unknown is the displacement $\mathbf u$, and the weak form is that of nonlinear elasticity:
+# find $\mathbf u$ such that
 #
 # $$\int_\Omega \mathbf P(\mathbf F) : \nabla \mathbf w \,\mathrm d V
 #   - \int_\Omega \rho\, \mathbf g \cdot \mathbf w \,\mathrm d V = 0 \quad \forall \mathbf w, \qquad
 #   \mathbf F = \mathbf I + \nabla \mathbf u ,$$
 #
-# with the first Piola-Kirchhoff stress $\mathbf P = \partial \psi / \partial \mathbf F$ of a stored energy $\psi$.
-# It is plain UFL, and every term of it is yours to change.
+# with the first Piola-Kirchhoff stress $\mathbf P = \partial \psi / \partial \mathbf F$ of a
+# stored energy $\psi$. It is plain UFL, and every term of it is yours to change.
 
 # +
 E, NU, RHO, G = 2e7, 0.3, 1000.0, 9.81  # Pa, -, kg/m^3, m/s^2
@@ -53,9 +53,10 @@ R += RHO * G * z.test.u[1] * body.dx
 
 # ## Nodes without points
 #
-# Most nodes of this mesh see no point at all. Their rows in the tangent are empty, and `NewtonSolver` leaves
-# them out by itself. Others see only one column of points, far away from them. They are nearly free, and the
-# tangent is nearly singular. `cells.Tying` makes such nodes follow their neighbours inside of the body.
+# Most nodes of this mesh see no point at all. Their rows in the tangent are empty, and
+# `NewtonSolver` leaves them out by itself. Others see only one column of points, far away from
+# them. They are nearly free, and the tangent is nearly singular. `cells.Tying` makes such nodes
+# follow their neighbours inside of the body.
 
 # +
 tying = cells.Tying(z.space, body, cells.ActiveCells(body))
@@ -65,12 +66,12 @@ print(result)
 
 # ## Result
 #
-# `probe` follows one place of the body. The deflection of a slender beam under its weight is
-# $q L^4 / (8 E I)$, to which shear adds $q L^2 / (2 \kappa G A)$ with $\kappa = 5/6$. In plane strain $E$ becomes
-# $E / (1 - \nu^2)$. Linear functions are a little too stiff in bending.
+# `probe` follows one place of the body. The deflection of a slender beam under its weight is $q
+# L^4 / (8 E I)$, to which shear adds $q L^2 / (2 \kappa G A)$ with $\kappa = 5/6$. In plane
+# strain $E$ becomes $E / (1 - \nu^2)$. Linear functions are a little too stiff in bending.
 
 # +
-from fenicsmpm import forms  # noqa: E402
+from fenicsmpm import forms
 
 body.add_field("u", (2,), forms.evaluate(z.u, body))
 length = 4.083  # m: the last points are at 4.042 and reach half their spacing further
@@ -84,6 +85,6 @@ io.picture("output/3_elastic_block.png", body, "u", "displacement [m]", displace
 
 # ## Your turn
 #
-# Make the mesh twice as fine: `[40, 32]` and `H = 0.125`. The deflection comes closer to beam theory. Then
-# write another energy in place of `psi`. Nothing else has to change, since `ufl.diff` and `ufl.derivative` do
-# the rest.
+# Make the mesh twice as fine: `[40, 32]` and `H = 0.125`. The deflection comes closer to beam
+# theory. Then write another energy in place of `psi`. Nothing else has to change, since
+# `ufl.diff` and `ufl.derivative` do the rest.

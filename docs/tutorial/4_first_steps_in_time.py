@@ -9,9 +9,9 @@
 # 3. *Grid to points:* the points get new velocities and new deformations.
 # 4. *Convection:* the points move, and the grid forgets everything.
 #
-# The package has loops for that. Here we write one ourselves, in twenty lines, for the oldest test of all:
-# a bar that swings along its axis. Its first mode has the exact frequency
-# $\omega = \frac{\pi}{2 L} \sqrt{E / \rho}$.
+# The package has loops for that. Here we write one ourselves, in twenty lines, for the oldest
+# test of all: a bar that swings along its axis. Its first mode has the exact frequency $\omega =
+# \frac{\pi}{2 L} \sqrt{E / \rho}$.
 
 # +
 from mpi4py import MPI
@@ -37,13 +37,14 @@ body["v"] = V0 * np.sin(np.pi * body.x[:, 0] / (2 * L))
 
 # ## Grid
 #
-# The bar moves along $x$ only, and $\nu = 0$. Its Cauchy stress is $\sigma = E (\lambda - 1)$ with the stretch
-# $\lambda$ that each point carries. The force of node $I$ is the residual
+# The bar moves along $x$ only, and $\nu = 0$. Its Cauchy stress is $\sigma = E (\lambda - 1)$
+# with the stretch $\lambda$ that each point carries. The force of node $I$ is the residual
 #
 # $$ f_I = - \int_\Omega \sigma \, \frac{\partial N_I}{\partial x} \,\mathrm d V
 #        \approx - \sum_p V_p\, \sigma_p \, \frac{\partial N_I}{\partial x}(\mathbf x_p) ,$$
 #
-# which is a UFL form over the points. It is compiled once, before the loop, as are the expressions that go back.
+# which is a UFL form over the points. It is compiled once, before the loop, as are the
+# expressions that go back.
 
 # +
 V = fem.functionspace(domain, ("Lagrange", 1))
@@ -60,8 +61,8 @@ held = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0))
 
 # ## Loop
 #
-# The velocity of the points *changes by the change* of the grid velocity: this is FLIP, and it avoids the
-# smoothing of step 1. The positions move with the grid velocity itself.
+# The velocity of the points *changes by the change* of the grid velocity: this is FLIP, and it
+# avoids the smoothing of step 1. The positions move with the grid velocity itself.
 
 # +
 t, history = [0.0], [body["v"].mean()]
@@ -102,7 +103,7 @@ io.plot("output/4_first_steps_in_time.png", curves, *labels, reference=reference
 
 # ## Your turn
 #
-# Take `V0 = 1.0`. Points now cross from cell to cell. The gradient of a linear function jumps there, and so do
-# the forces: the curve becomes rough. This is the famous *grid-crossing error*. Step 6 and the page on
-# [grid functions](../explanation/grid_functions.md) show what helps. Then make the loop implicit in your mind:
-# which line would have to become a solver? Step 7 does it.
+# Take `V0 = 1.0`. Points now cross from cell to cell. The gradient of a linear function jumps
+# there, and so do the forces: the curve becomes rough. This is the famous *grid-crossing error*.
+# Step 6 and the page on [grid functions](../explanation/grid_functions.md) show what helps. Then
+# make the loop implicit in your mind: which line would have to become a solver? Step 7 does it.

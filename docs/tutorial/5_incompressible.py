@@ -2,9 +2,9 @@
 
 # # 5. Incompressible material
 #
-# Rubber, water and saturated clay keep their volume. Linear elements do not like that: with
-# $\nu \to 0.5$ the displacement element of step 3 becomes far too stiff. It *locks*, because each cell has
-# more conditions on its volume than it has freedom. This step shows the fault and the cure.
+# Rubber, water and saturated clay keep their volume. Linear elements do not like that: with $\nu
+# \to 0.5$ the displacement element of step 3 becomes far too stiff. It *locks*, because each cell
+# has more conditions on its volume than it has freedom. This step shows the fault and the cure.
 #
 # The beam is 4 m long and 1 m high. Its mesh fits, so that nothing but the element is tested.
 
@@ -29,6 +29,8 @@ exact = -LOAD * 4**3 / (3 * bending) - LOAD * 4 * 3 / E * 6 / 5  # beam theory w
 def deflection(z):
     """Downward displacement at the loaded end, averaged over the end [m]."""
     return -forms.assemble_scalar(forms.form(z.u[1] * end.dx))
+
+
 # -
 
 # ## Displacements only
@@ -55,15 +57,16 @@ print(f"beam theory for nu = 0.5: {exact:.4f} m")
 
 # ## Displacement and pressure
 #
-# The cure is a second unknown, the mean stress $p$. The stress is split into a deviator, which follows from the
-# strain, and $p$, which follows from the condition on the volume:
+# The cure is a second unknown, the mean stress $p$. The stress is split into a deviator, which
+# follows from the strain, and $p$, which follows from the condition on the volume:
 #
-# $$(\boldsymbol\sigma_{\mathrm{dev}}, \nabla \mathbf w) + (p, \nabla\!\cdot \mathbf w) = (\mathbf t, \mathbf w),
-#   \qquad (J - 1, q) = 0 .$$
+# $$(\boldsymbol\sigma_{\mathrm{dev}}, \nabla \mathbf w) + (p, \nabla\!\cdot \mathbf w)
+#   = (\mathbf t, \mathbf w), \qquad (J - 1, q) = 0 .$$
 #
-# `formulations.mixed` writes this down for a law. With linear functions for both fields it is not yet sound:
-# the pressure oscillates from cell to cell. `formulations.asgs` adds the terms of algebraic subgrid scales
-# (Moreno, Wüchner and Larese), which act on the residual and leave the exact solution as it is.
+# `formulations.mixed` writes this down for a law. With linear functions for both fields it is not
+# yet sound: the pressure oscillates from cell to cell. `formulations.asgs` adds the terms of
+# algebraic subgrid scales (Moreno, Wüchner and Larese), which act on the residual and leave the
+# exact solution as it is.
 
 # +
 rubber = NeoHookean(E=E, nu=0.5)
@@ -82,11 +85,13 @@ assert abs(deflection(z) / exact - 1) < 0.06
 io.picture("output/5_mixed.png", pressures["mixed"], "p", "mean stress p [Pa]")
 # -
 
-io.picture("output/5_incompressible.png", pressures["mixed and ASGS"], "p", "mean stress p [Pa]", cut=1)
+io.picture(
+    "output/5_incompressible.png", pressures["mixed and ASGS"], "p", "mean stress p [Pa]", cut=1
+)
 
-# Displacements are right in both cases, but only the second pressure can be used: the first one is noise of
-# a size that has nothing to do with the load. (Beam theory does not know that the clamp also holds the height
-# of the beam, hence the last few percent.)
+# Displacements are right in both cases, but only the second pressure can be used: the first one
+# is noise of a size that has nothing to do with the load. (Beam theory does not know that the
+# clamp also holds the height of the beam, hence the last few percent.)
 #
 # ## Your turn
 #
@@ -97,5 +102,5 @@ io.picture("output/5_incompressible.png", pressures["mixed and ASGS"], "p", "mea
 # R -= h**2 / (2 * rubber.mu) * ufl.inner(ufl.grad(z.p), ufl.grad(z.test.p)) * body.dx
 # ```
 #
-# How does the deflection change? [A page of its own](../howto/own_stabilization.md) measures the order of
-# convergence of your term.
+# How does the deflection change? [A page of its own](../howto/own_stabilization.md) measures the
+# order of convergence of your term.

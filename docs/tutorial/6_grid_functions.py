@@ -2,13 +2,14 @@
 
 # # 6. Grid functions
 #
-# The bar of step 4 became rough when points crossed cells. The gradient of a linear function is constant in a
-# cell and jumps at its edge, so the force of a point jumps when the point crosses. MPM has three kinds of remedies:
-# functions that see a point as a small box (uGIMP, cpGIMP), functions with a continuous gradient (B-splines),
-# or points that do not cross. `basis.use` chooses the functions of a body, and forms stay as they are.
+# The bar of step 4 became rough when points crossed cells. The gradient of a linear function is
+# constant in a cell and jumps at its edge, so the force of a point jumps when the point crosses.
+# MPM has three kinds of remedies: functions that see a point as a small box (uGIMP, cpGIMP),
+# functions with a continuous gradient (B-splines), or points that do not cross. `basis.use`
+# chooses the functions of a body, and forms stay as they are.
 #
-# From here on we use the loops of the package. `ExplicitMPM` takes a residual in UFL, as `NewtonSolver` does. Its
-# unknown is a velocity on the grid.
+# From here on we use the loops of the package. `ExplicitMPM` takes a residual in UFL, as
+# `NewtonSolver` does. Its unknown is a velocity on the grid.
 
 # +
 from mpi4py import MPI
@@ -41,9 +42,12 @@ def swing(functions, until):
     for _ in sim.run(until):
         pass
     return bar
+
+
 # -
 
-# After a quarter of a period the bar is longest. Its stretch should be a smooth curve, a quarter of a cosine.
+# After a quarter of a period the bar is longest. Its stretch should be a smooth curve, a quarter
+# of a cosine.
 
 # +
 quarter = np.pi / (2 * omega)
@@ -62,6 +66,6 @@ io.plot("output/6_grid_functions.png", curves, "x [m]", "stretch [-]")
 
 # ## Your turn
 #
-# Let the bar swing for a whole period, `4 * quarter`, and compare the curves. Then try `"cubic"`. Functions that
-# reach further are smoother, but they take more time and need more points near the boundary.
-# [Grid functions](../explanation/grid_functions.md) explains the choice.
+# Let the bar swing for a whole period, `4 * quarter`, and compare the curves. Then try `"cubic"`.
+# Functions that reach further are smoother, but they take more time and need more points near the
+# boundary. [Grid functions](../explanation/grid_functions.md) explains the choice.

@@ -2,16 +2,19 @@
 
 # # 7. A dynamic incompressible body
 #
-# All pieces are there: points that carry a body through a mesh, an incompressible law with a stabilized pressure,
-# and time steps. We put them together for a rubber beam that is clamped at its left end and let go under its weight.
+# All pieces are there: points that carry a body through a mesh, an incompressible law with a
+# stabilized pressure, and time steps. We put them together for a rubber beam that is clamped at
+# its left end and let go under its weight.
 #
-# Steps are implicit now. In each one, the increment $\mathbf u$ of the displacement and the mean stress $p$ solve
+# Steps are implicit now. In each one, the increment $\mathbf u$ of the displacement and the mean
+# stress $p$ solve
 #
 # $$(\rho\, \mathbf a, \mathbf w) + (\boldsymbol\sigma_{\mathrm{dev}}, \nabla \mathbf w)
 #   + (p, \nabla\!\cdot \mathbf w) = (\rho\, \mathbf g, \mathbf w), \qquad (J - 1, q) = 0$$
 #
-# on the undeformed grid, with integrals that are sums over points. The acceleration $\mathbf a$ is an expression
-# in $\mathbf u$ and in what the points remember. It belongs to a *time scheme*, here Bossak's.
+# on the undeformed grid, with integrals that are sums over points. The acceleration $\mathbf a$
+# is an expression in $\mathbf u$ and in what the points remember. It belongs to a *time scheme*,
+# here Bossak's.
 
 # +
 from mpi4py import MPI
@@ -43,18 +46,18 @@ R = formulations.mixed(z, body, law, force=force) + formulations.asgs(z, body, l
 
 # ## Cells that are filled only partly
 #
-# The beam leaves cells with a few points in a corner. Their nodes have hardly any stiffness or mass. The *ghost
-# penalty* ties their gradients to those of the neighbouring cells; `ActiveCells` knows where it is needed, and is
-# renewed when points move.
+# The beam leaves cells with a few points in a corner. Their nodes have hardly any stiffness or
+# mass. The *ghost penalty* ties their gradients to those of the neighbouring cells; `ActiveCells`
+# knows where it is needed, and is renewed when points move.
 
 cells = ActiveCells(body, loads=[tip])
 R += formulations.ghost_penalty(z, cells, law)
 
 # ## Loop
 #
-# `ImplicitMPM` maps to the grid, solves by Newton's method, maps back and moves the points. Observers are called after
-# each step. One of ours corrects the weights of the points, so that full cells integrate constants exactly. The other
-# one records the tip.
+# `ImplicitMPM` maps to the grid, solves by Newton's method, maps back and moves the points.
+# Observers are called after each step. One of ours corrects the weights of the points, so that
+# full cells integrate constants exactly. The other one records the tip.
 
 # +
 history = io.History({"u_y of the tip [m]": lambda sim: probe(tip, "u")[1]})
@@ -85,6 +88,6 @@ io.picture("output/7_dynamic_rubber.png", frames, "p", "mean stress p [Pa]", cut
 
 # ## Your turn
 #
-# Give the rubber another stabilization by one word: `formulations.osgs` in place of `formulations.asgs`. Then let
-# the beam fly: remove `z.fix`, and give it a velocity by `set_initial_state(body, RHO, (1.0, 4.0))`. What is the exact path
-# of its centre?
+# Give the rubber another stabilization by one word: `formulations.osgs` in place of
+# `formulations.asgs`. Then let the beam fly: remove `z.fix`, and give it a velocity by
+# `set_initial_state(body, RHO, (1.0, 4.0))`. What is the exact path of its centre?

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import html
+import io
 import logging
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -47,21 +49,23 @@ def say(text: str = "") -> None:
 
 
 def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterator[Any]:
-    """Go through items behind a progress bar, if there is a terminal that can show it.
+    """Go through items behind a progress bar, if there is a terminal or notebook to show it.
+
+    The environment variable TQDM_DISABLE=1 switches all bars off.
 
     Args:
         items: what to go through.
         label: text before the bar.
         total: number of items, if they have no length.
     """
-    with tqdm(items, desc=label, total=total, disable=not _has_terminal(), leave=False) as bar:
+    with _bar(iterable=items, desc=label, total=total) as bar:
         yield from bar
 
 
 def watch(steps: Iterable[Any], until: float, label: str) -> Iterator[Any]:
     """Go through time steps behind a progress bar with time and time left.
 
-    Where steps have Newton iterations, they are shown, too.
+    Where steps have Newton iterations, they are shown, too. See ``progress`` for where bars appear.
 
     Args:
         steps: iterator of steps, such as ``sim.run(until)``.
@@ -71,8 +75,7 @@ def watch(steps: Iterable[Any], until: float, label: str) -> Iterator[Any]:
     layout = (
         "{desc}: {percentage:3.0f}% |{bar}| {n:.4g}/{total:.4g} s [{elapsed}<{remaining}{postfix}]"
     )
-    options = {"desc": label, "total": until, "bar_format": layout, "leave": False}
-    with tqdm(disable=not _has_terminal(), **options) as bar:
+    with _bar(desc=label, total=until, bar_format=layout) as bar:
         for step in steps:
             newton = getattr(step, "newton", None)
             iterations = f", {newton.iterations} Newton iterations" if newton else ""
@@ -81,8 +84,52 @@ def watch(steps: Iterable[Any], until: float, label: str) -> Iterator[Any]:
             yield step
 
 
-def _has_terminal() -> bool:
-    return MPI.COMM_WORLD.rank == 0 and sys.stderr.isatty()
+class _NotebookBar(tqdm):
+    """A bar in the output of a notebook's cell, where it leaves nothing behind.
+
+    That of tqdm needs ipywidgets and stays in the saved notebook as a widget without a model.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Write nothing to a stream."""
+        self._output: Any = None
+        super().__init__(file=io.StringIO(), **options)
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
+        """Show the state, or nothing if the message is empty."""
+        from IPython.display import HTML, display
+
+        content = HTML(self._state() if msg is None else msg)
+        if self._output is None:
+            self._output = display(content, display_id=True)
+        else:
+            self._output.update(content)
+
+    def _state(self) -> str:
+        values = self.format_dict
+        layout = (values["bar_format"] or "{l_bar}{bar}{r_bar}").replace("{bar}", "\n")
+        text = self.format_meter(**{**values, "bar_format": layout})
+        before, _, after = (html.escape(part.strip("| ")) for part in text.rpartition("\n"))
+        share = "" if not self.total else f' value="{self.n / self.total:.4f}"'
+        return f"<code>{before}</code> <progress{share}></progress> <code>{after}</code>"
+
+    def clear(self, nolock: bool = False) -> None:
+        """Printed text is not in the way of the bar."""
+
+
+def _bar(**options: Any) -> Any:
+    """A progress bar that vanishes at its end, on rank 0, if somebody can see it."""
+    if MPI.COMM_WORLD.rank == 0 and _in_notebook():
+        return _NotebookBar(leave=False, **options)
+    if MPI.COMM_WORLD.rank > 0 or not sys.stderr.isatty():
+        options["disable"] = True
+    return tqdm(leave=False, **options)
+
+
+def _in_notebook() -> bool:
+    """Whether a Jupyter kernel runs this."""
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
 
 
 class Table:

@@ -21,19 +21,22 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from fenicsmpm._display import Picture
-from fenicsmpm.io.results import gather_functions, gather_points
-from fenicsmpm.points import MaterialPoints
+from fenicsmpm.io.results import gather_cells, gather_functions, gather_points
+from fenicsmpm.points import MaterialPoints, drawing
 from fenicsmpm.points.agreement import do_there
 
 if TYPE_CHECKING:  # it takes a second to import: only where it is needed
     import pyvista
 
+Array: TypeAlias = npt.NDArray[np.float64]
 Bounds = tuple[Sequence[float], Sequence[float]]
 Drawable: TypeAlias = (
     "MaterialPoints | Sequence[MaterialPoints] | fem.Function | pyvista.DataSet | None"
 )
 
+_POINTS = (MaterialPoints, Sequence)
 _COLOURS = "viridis"
+_ONE_COLOUR, _LINES = "tab:blue", "silver"
 _PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
 _INCHES = 3.75  # the same on paper
 
@@ -44,13 +47,14 @@ class _Panel:
 
     title: str
     data: pyvista.DataSet | None
-    field: str
-    component: int | None
-    displacement: str | None
+    field: str | None
+    component: int | None = None
+    displacement: str | None = None
+    grid: pyvista.DataSet | None = None  # cells to be drawn behind
 
-    def values(self) -> npt.NDArray[np.float64]:
+    def values(self) -> Array:
         """Numbers to be coloured, one a point or node."""
-        assert self.data is not None
+        assert self.data is not None and self.field is not None
         if self.field not in self.data.point_data:
             raise ValueError(_unknown(self.field, self.data))
         values = np.asarray(self.data.point_data[self.field], dtype=np.float64)
@@ -97,7 +101,8 @@ def picture(
             ``gather_points`` or ``gather_functions`` returned at an earlier time; or titles and
             these, for several pictures.
         field: name of the field that gives the colours; of vectors and tensors it is the norm. None
-            for the field of a function.
+            for the field of a function, and for points in one colour, in the plane with the cells
+            of their mesh.
         label: text beside the colour bar, with the unit; None for the name of the field.
         component: component to show instead of the norm, of 3 of a vector or 9 of a tensor.
         displacement: name of a vector field [m] by which the picture is deformed; None for the
@@ -118,38 +123,51 @@ def picture(
             ``gather_functions`` does not take, and where no field is named.
     """
     named = data if isinstance(data, Mapping) else {"": data}
-    panels = []
-    for title, one in named.items():
-        name = one.name if field is None and isinstance(one, fem.Function) else field
-        if name is None:
-            raise ValueError(
-                f"{path or 'picture'}: which field is to be drawn? Name it, as in field='p'"
-            )
-        panels.append(_Panel(title, _gathered(one), name, component, displacement))
-    if not panels:
+    if not named:
         raise ValueError(f"{path or 'picture'}: nothing to draw")
-    text = label or panels[0].field
+    names = [one.name if isinstance(one, fem.Function) else None for one in named.values()]
+    plain = field is None and all(isinstance(one, _POINTS) for one in named.values())
+    if not plain and field is None and None in names:
+        raise ValueError(
+            f"{path or 'picture'}: which field is to be drawn? Name it, as in field='p'"
+        )
+    panels = [
+        _Panel(title, _gathered(one), field or name, component, displacement, _cells(one, plain))
+        for (title, one), name in zip(named.items(), names, strict=True)
+    ]
+    text = label or panels[0].field or ""
 
     def draw() -> bytes | None:
         target = io.BytesIO() if path is None else Path(path)
         with _display():
-            _draw(target, panels, text, limits or _colour_range(panels, cut), bounds)
+            _draw(target, panels, text, limits, cut, bounds)
         return target.getvalue() if isinstance(target, io.BytesIO) else None
 
     return Picture(path, do_there(comm, comm.rank == 0, draw))
 
 
+drawing.picture = picture
+
+
+def _cells(data: Drawable, plain: bool) -> pyvista.DataSet | None:
+    """Cells behind points that are drawn in one colour; in space they would hide them."""
+    first = data[0] if isinstance(data, Sequence) else data
+    if plain and isinstance(first, MaterialPoints) and first.geometry.dim == 2:
+        return gather_cells(first.mesh)
+    return None
+
+
 def _gathered(data: Drawable) -> pyvista.DataSet | None:
     if isinstance(data, fem.Function):
         return gather_functions([data])
-    if isinstance(data, MaterialPoints | Sequence):
+    if isinstance(data, _POINTS):
         return gather_points(data)
     return data
 
 
-def _colour_range(panels: Sequence[_Panel], cut: float = 0.0) -> tuple[float, float]:
+def _colour_range(values: Sequence[Array], cut: float = 0.0) -> tuple[float, float]:
     """Range of values of some panels, without some percent of each at either end."""
-    ends = np.array([np.percentile(panel.values(), [cut, 100 - cut]) for panel in panels])
+    ends = np.array([np.percentile(one, [cut, 100 - cut]) for one in values])
     return float(ends[:, 0].min()), float(ends[:, 1].max())
 
 
@@ -157,7 +175,8 @@ def _draw(
     target: Path | io.BytesIO,
     panels: Sequence[_Panel],
     label: str,
-    limits: tuple[float, float],
+    limits: tuple[float, float] | None,
+    cut: float,
     bounds: Bounds | None,
 ) -> None:
     from matplotlib.cm import ScalarMappable
@@ -165,18 +184,24 @@ def _draw(
     from matplotlib.figure import Figure
 
     shapes = [_shape(panel) for panel in panels]
-    lower = np.min([shape.points.min(axis=0) for shape in shapes], axis=0)
-    upper = np.max([shape.points.max(axis=0) for shape in shapes], axis=0)
+    colours = [None if panel.field is None else panel.values() for panel in panels]
+    values = [colour for colour in colours if colour is not None]
+    if values and limits is None:
+        limits = _colour_range(values, cut)
+    around = [shape.points for shape in shapes]
+    around += [panel.grid.points for panel in panels if panel.grid is not None]
+    lower = np.min([x.min(axis=0) for x in around], axis=0)
+    upper = np.max([x.max(axis=0) for x in around], axis=0)
     margin = 0.02 * float((upper - lower).max())
     plane = bool(lower[2] == upper[2])
     lower, upper = lower - margin, upper + margin
     if bounds is not None:
         lower, upper = (np.resize([*corner, 0.0], 3) for corner in bounds)
     images = [
-        _image_of_plane(shape, panel.values(), limits, lower, upper)
+        _image_of_plane(shape, colour, limits, lower, upper, panel.grid)
         if plane
-        else _image_of_space(shape, panel.values(), limits, lower, upper)
-        for shape, panel in zip(shapes, panels, strict=True)
+        else _image_of_space(shape, colour, limits, lower, upper)
+        for shape, colour, panel in zip(shapes, colours, panels, strict=True)
     ]
     extent = (lower[0], upper[0], lower[1], upper[1]) if plane else None
 
@@ -200,22 +225,22 @@ def _draw(
             ax.set_xlabel("x [m]")
             ax.set_ylabel("y [m]")
             ax.label_outer()
-    colours = ScalarMappable(Normalize(*limits), _COLOURS)
-    figure.colorbar(
-        colours,
-        ax=list(axes[: len(panels)]),
-        label=label,
-        extend=_cut(panels, limits),
-        pad=0.02,
-    )
+    if limits is not None:
+        figure.colorbar(
+            ScalarMappable(Normalize(*limits), _COLOURS),
+            ax=list(axes[: len(panels)]),
+            label=label,
+            extend=_cut(values, limits),
+            pad=0.02,
+        )
     if isinstance(target, Path):
         target.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(target, dpi=160)
 
 
-def _cut(panels: Sequence[_Panel], limits: tuple[float, float]) -> str:
+def _cut(values: Sequence[Array], limits: tuple[float, float]) -> str:
     """Which ends of the colour bar stand for values beyond it."""
-    low, high = _colour_range(panels)
+    low, high = _colour_range(values)
     span = 1e-9 * (limits[1] - limits[0])
     below, above = low < limits[0] - span, high > limits[1] + span
     return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[(below, above)]
@@ -235,16 +260,20 @@ def _shape(panel: _Panel) -> Any:
 
 def _image_of_plane(
     shape: Any,
-    values: npt.NDArray[np.float64],
-    limits: tuple[float, float],
-    lower: npt.NDArray[np.float64],
-    upper: npt.NDArray[np.float64],
+    values: Array | None,
+    limits: tuple[float, float] | None,
+    lower: Array,
+    upper: Array,
+    grid: pyvista.DataSet | None,
 ) -> npt.NDArray[np.uint8]:
     """Image of exactly the box from lower to upper, seen from the front."""
     size = (upper - lower)[:2]
     scale = _PIXELS / size.max()  # pixels a m
     window = [max(1, round(s)) for s in scale * size]
     with _plotter(shape, values, limits, window, scale * _spacing(shape), False) as plotter:
+        if grid is not None:
+            behind = grid.translate((0, 0, -1e-3 * size.max()), inplace=False)
+            plotter.add_mesh(behind, style="wireframe", color=_LINES, line_width=2, lighting=False)
         plotter.view_xy()
         centre = (lower + upper) / 2
         plotter.camera.focal_point = centre
@@ -255,10 +284,10 @@ def _image_of_plane(
 
 def _image_of_space(
     shape: Any,
-    values: npt.NDArray[np.float64],
-    limits: tuple[float, float],
-    lower: npt.NDArray[np.float64],
-    upper: npt.NDArray[np.float64],
+    values: Array | None,
+    limits: tuple[float, float] | None,
+    lower: Array,
+    upper: Array,
 ) -> npt.NDArray[np.uint8]:
     """Image of the box from lower to upper, seen obliquely, as large as the box appears."""
     x, y, z = upper - lower
@@ -279,8 +308,8 @@ def _image_of_space(
 @contextmanager
 def _plotter(
     shape: Any,
-    values: npt.NDArray[np.float64],
-    limits: tuple[float, float],
+    values: Array | None,
+    limits: tuple[float, float] | None,
     window: list[int],
     point_size: float,
     lighting: bool,
@@ -294,6 +323,7 @@ def _plotter(
         plotter.add_mesh(
             shape,
             scalars=values,
+            color=_ONE_COLOUR,
             clim=limits,
             cmap=_COLOURS,
             show_scalar_bar=False,

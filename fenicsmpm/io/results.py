@@ -17,6 +17,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, plot
+from dolfinx.mesh import Mesh
 
 import fenicsmpm
 from fenicsmpm import _compat
@@ -91,7 +92,15 @@ def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredG
     Raises:
         ValueError: for other spaces, several meshes, or names that occur twice.
     """
-    mesh = check_functions(functions)
+    return _gather(check_functions(functions), functions)
+
+
+def gather_cells(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
+    """Collect a mesh of straight cells without values (collective), as ``gather_functions``."""
+    return _gather(mesh, [])
+
+
+def _gather(mesh: Mesh, functions: Sequence[fem.Function]) -> pyvista.UnstructuredGrid | None:
     nodes = mesh.geometry.input_global_indices
     cells, types, x = plot.vtk_mesh(mesh)
     cells = cells.reshape(len(types), -1).astype(np.int64)

@@ -2,7 +2,7 @@
 """Material points: named arrays with one row a point, distributed like the cells of a mesh."""
 
 from collections.abc import Iterable, Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
@@ -11,6 +11,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx.mesh import Mesh
 
+from fenicsmpm._display import Picture
+from fenicsmpm.points import drawing
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.checks import (
     check_fields,
@@ -158,6 +160,26 @@ class MaterialPoints(PointArrays):
         self._comm.Allreduce(x.min(axis=0, initial=np.inf), lower, MPI.MIN)
         self._comm.Allreduce(x.max(axis=0, initial=-np.inf), upper, MPI.MAX)
         return lower, upper
+
+    # --- pictures -------------------------------------------------------------------------------
+
+    def plot(self, field: str | None = None, label: str | None = None, **options: Any) -> Picture:
+        """Draw the points for a notebook, without a file. Collective.
+
+        Args:
+            field: Name of the field that gives the colours; None for points in one colour, in the
+                plane with the cells of the mesh.
+            label: Text beside the colour bar, with the unit; None for the name of the field.
+            **options: Keyword arguments of `fenicsmpm.io.picture`, such as `cut` and `limits`.
+
+        Returns:
+            The picture, which a notebook shows.
+
+        Raises:
+            RuntimeError: On all ranks, if nothing can render; says what to install.
+            ValueError: On all ranks, for fields or components that there are not.
+        """
+        return drawing.picture(None, self, field, label, comm=self._comm, **options)
 
     # --- order ----------------------------------------------------------------------------------
 
