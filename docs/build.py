@@ -95,7 +95,10 @@ async def execute(script: Path, folder: Path, free: asyncio.Semaphore) -> str | 
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         client = NotebookClient(
-            notebook, timeout=TIMEOUT, resources={"metadata": {"path": str(folder)}}
+            notebook,
+            timeout=TIMEOUT,
+            resources={"metadata": {"path": str(folder)}},
+            extra_arguments=["--log-level=ERROR"],
         )
         try:
             await client.async_execute()
@@ -130,16 +133,19 @@ def pages() -> None:
     for folder in FILES:
         shutil.copytree(ROOT / folder, BUILD / folder, dirs_exist_ok=True)
     for page in SOURCE.rglob("*.md"):
-        text = page.read_text()
-        new = re.sub(r"\]\((?:\.\./)*demos/(\w+)\.py", r"](/gallery/\1.ipynb", text)
-        new = re.sub(r"\]\((?:[\w./]*/)?([1-8]_\w+)\.py", r"](/tutorial/\1.ipynb", new)
-        new = re.sub(r"\]\((?:\.\./)*docs/", "](/", new)
-        for old, place in MOVED.items():
-            new = re.sub(rf"\]\((?:\.\./)*{re.escape(old)}", f"](/{place}", new)
-        if new != text:
-            times = page.stat()
+        old, times = page.read_text(), page.stat()
+        if (new := lead(old)) != old:
             page.write_text(new)
             os.utime(page, ns=(times.st_atime_ns, times.st_mtime_ns))  # not new for Sphinx
+
+
+def lead(text: str) -> str:
+    """A text whose links lead to places of this site instead of files of the repository."""
+    text = re.sub(r"\]\((?:[\w./]*/)?([1-8]_\w+)\.py", r"](/tutorial/\1.ipynb", text)
+    text = re.sub(r"\]\((?:(?:\.\./)*demos/)?(\w+)\.py", r"](/gallery/\1.ipynb", text)
+    for old, new in MOVED.items():
+        text = re.sub(rf"\]\((?:\.\./)*{re.escape(old)}", f"](/{new}", text)
+    return re.sub(r"\]\((?:\.\./)*docs/", "](/", text)
 
 
 def place(script: Path, folder: Path) -> str:
@@ -154,6 +160,9 @@ def place(script: Path, folder: Path) -> str:
     if not head.startswith("# "):
         sys.exit(f"{script.relative_to(ROOT)} does not begin with a title, '# # Title'")
     notebook.cells[0].source = f"{head}\n\n{links}\n{rest}"
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            cell.source = lead(cell.source)
     nbformat.write(notebook, folder / f"{script.stem}.ipynb")
     shutil.copy2(script, folder)
     return head.removeprefix("# ")
