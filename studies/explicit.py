@@ -19,7 +19,7 @@ from dolfinx.mesh import CellType, DiagonalType
 
 from fenicsmpm import ExplicitMPM, RigidBody, UnstableError, basis, io, points, shapes
 from fenicsmpm import formulations as fm
-from fenicsmpm.diagnostics import mean_stress, probe, roughness
+from fenicsmpm.diagnostics import angular_momentum, mean_stress, probe, roughness
 from fenicsmpm.materials import NeoHookean, NewtonianFluid, VonMises
 
 AVERAGES = {"F-bar": "default", "standard": None}
@@ -253,6 +253,24 @@ def landslide(h: float = 0.5, until: float = 4.5, dt: float | None = None, avera
         table.row(name.ljust(25), sim.time - 1, curves[name][1][-1], *ends)
     io.picture("output/landslide.png", clouds, "eps_p", "plastic strain", limits=(0.0, 2.0))
     io.plot("output/landslide_run_out.png", curves, "t since the failure [s]", "run-out [m]")
+
+
+@app.command()
+def spin(h: float = 0.05, turns: float = 2.0, bases: Names = SPLINES,
+         flip: list[float] = [1.0, 0.99, 0.0]):  # fmt: skip
+    """A free disc spins: the angular momentum that shares of FLIP leave after some turns."""
+    table = io.Table({"functions".ljust(9): "s", "flip": ".2f", "steps": "d", "left": ".1%"})
+    for functions, share in product(bases, flip):
+        z = velocity((0, 0), (1, 1), h, walls=False)
+        disc = points.lattice(z.mesh, h / 2, inside=lambda x: np.hypot(*(x[:2] - 0.5)) < 0.3)
+        seen(disc, functions, h / 2)
+        fm.set_initial_state(disc, 1e3, lambda x: 0.2 * np.array([0.5 - x[1], x[0] - 0.5]))
+        R = fm.internal_force(z.test.v, disc, NeoHookean(E=1e3, nu=0.3))
+        sim = ExplicitMPM(R, z, disc, flip=share)
+        start = angular_momentum(disc)
+        until = turns * 2 * math.pi / 0.2
+        list(advance(sim, until, until / 20, f"{functions}, {share:g}"))
+        table.row(functions.ljust(9), share, sim.number, angular_momentum(disc) / start)
 
 
 if __name__ == "__main__":
