@@ -3,8 +3,8 @@
 # # Colliding plastic cylinders
 #
 # Two cylinders meet off their centres, are pressed together, turn around each other and fly apart.
-# More than half of the energy goes into plastic flow. Where does the rest go? Nowhere: kinetic
-# energy, free energy and dissipation keep their sum to round-off, and so do both momenta.
+# More than half of the energy goes into plastic flow. Kinetic energy, free energy and dissipation
+# together stay the same to round-off, and so do both momenta.
 #
 # The problem is section 7.3, analysis A, of G. Pretti, W. M. Coombs, C. E. Augarde, B. Sims, M.
 # Marchena Puigvert and J. A. Reyna Gutiérrez, *A conservation law consistent updated Lagrangian
@@ -91,7 +91,8 @@ for step in io.watch(sim.run(END, step_length=length), END, "collision"):
 
 # ## Results
 #
-# The cylinders flow where they touch:
+# The cylinders flow where they touch. The gap between them is about the cell through which they do
+# so:
 
 io.picture("output/cylinder_collision.png", clouds, "dissipation", "dissipated [J/m^3]", cut=1)
 

@@ -1,22 +1,36 @@
 # SPDX-License-Identifier: MIT
-"""An incompressible block in free flight.
 
-A rubber block is thrown: it flies, turns and wobbles, and nothing acts on it. Its volume must stay
-what it is, and so must energy and momenta. The unknown of a step is the displacement with the
-pressure p that keeps the volume of the step. With discrete derivatives S_iso of the isochoric
-energy and Z of J, so that Z : Delta C / 2 = Delta J, the equations are, for all w and q and per
-initial volume,
+# # Tumbling incompressible block
+#
+# A rubber block is thrown. It flies, turns and wobbles, and nothing acts on it. So its volume, its
+# energy and its angular momentum must stay what they are. An incompressible solid makes that hard,
+# because its pressure is an unknown, and so is what stabilizes the pressure. This tour lets a
+# conserving step and generalized-alpha fly side by side. It also shows the price of conservation.
+#
+# ## Formulation
+#
+# The unknowns of a step are the displacement and the pressure $p$ that keeps the volume of the
+# step. With discrete derivatives $\mathbf S_\mathrm{iso}$ of the isochoric energy and $\mathbf Z$
+# of $J$, so that $\mathbf Z : \Delta\mathbf C / 2 = \Delta J$, the equations per initial volume
+# are, for all $\mathbf w$ and $q$,
+#
+# $$
+# \begin{aligned}
+# (\mathbf F_m (\mathbf S_\mathrm{iso} + p\,\mathbf Z), \operatorname{Grad}\mathbf w)
+# + (\rho\,\mathbf a, \mathbf w) &= 0, \\
+# (\Delta J, q) - \frac\alpha\mu (\Delta r, q - q_K) &= 0 .
+# \end{aligned}
+# $$
+#
+# $\mathbf S_\mathrm{iso}$ is the algorithmic stress of the [cantilever](cantilever.py) (G. Pretti
+# et al., *A conservation law consistent updated Lagrangian material point method for dynamic
+# analysis*, 2023, equation 47). Points carry $r$, the part of the pressure that varies within a
+# cell $K$, with the energy $\alpha r^2/(2\mu)$. It stabilizes elements of equal order. All terms
+# have an energy, so the sum is kept.
+#
+# Generalized-alpha with ASGS has a residual without an energy.
 
-    (F_m (S_iso + p Z), Grad w) + (rho a, w) = 0,
-    (Delta J, q) - alpha / mu (Delta r, q - q_K) = 0.
-
-Points carry r, the part of the pressure that varies within cells, with the energy
-alpha r^2 / (2 mu); it stabilizes elements of equal order (``MixedEnergyMomentum``). All of this has
-an energy, so that the sum is kept. Generalized-alpha with ASGS, a residual without an energy, flies
-beside it. The price of conservation is that nothing damps what points excite when they cross cells:
-compare the pressures. docs/energy.md has the numbers for END = 12 and all METHODS.
-"""
-
+# +
 from mpi4py import MPI
 
 import numpy as np
@@ -27,11 +41,15 @@ from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, strain_energy
 from fenicsmpm.materials import NeoHookean
 
+# -
+
 BOX, CENTRE, SIZE = (11.0, 4.0), (3.0, 2.0), (2.0, 1.0)  # of the mesh and the block, m
 H, PER_SIDE = 0.25, 4  # size of cells in m, points along it
 DENSITY, LAW = 2.0, NeoHookean(E=100.0, nu=0.5)  # kg/m^2, Pa
 DT, END = 0.02, 6.0  # s
 METHODS = "energy-momentum", "generalized-alpha"  # and "newmark"
+
+# ## Block
 
 
 def in_block(x):
@@ -43,6 +61,11 @@ def thrown(x):
     right, up = x[0] - CENTRE[0], x[1] - CENTRE[1]
     return np.array([0.3 - up + up**2, right])
 
+
+# ## Simulation
+#
+# Both methods differ in scheme and residual. The table has by how much each quantity changes at
+# most.
 
 totals, clouds, changes = {}, {}, {}
 titles = {"energy": ".1e", "angular momentum": ".1e", "volume": ".1e", "|J - 1|": ".2f"}
@@ -86,7 +109,15 @@ for method in METHODS:
     table.row(method, *changes[method], off.max(), strain[-1])
     clouds[f"{method}, t = {END:g} s"] = io.gather_points(body)
 
-io.plot("output/tumbling_block_energy.png", totals, "t [s]", "energy [J]")
+# ## Results
+#
+# The price of conservation: nothing damps what points excite when they cross cells, and the
+# pressure shows it.
+
 io.picture("output/tumbling_block.png", clouds, "p", "mean stress p [Pa]", cut=1)
+
+# The energy of generalized-alpha decays, although nothing takes it.
+
+io.plot("output/tumbling_block_energy.png", totals, "t [s]", "energy [J]")
 
 assert max(changes["energy-momentum"]) < 1e-11  # conservation of energy, momentum and volume
