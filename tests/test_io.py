@@ -22,6 +22,8 @@ from fenicsmpm import io
 from fenicsmpm.io import console, pictures
 from fenicsmpm.points import fill
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 CELLS = {
     "triangle": 2,
