@@ -23,6 +23,8 @@ from fenicsmpm.materials import Hencky
 from fenicsmpm.simulation import Audit
 from fenicsmpm.solvers import CourantStep
 
+pytestmark = pytest.mark.ranks
+
 # --- audit --------------------------------------------------------------------------------------
 
 

@@ -21,6 +21,8 @@ from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.simulation import Rebalanced, imbalance
 from fenicsmpm.simulation.redistribution import Redistribution, cells_on, tags_on
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 quadrilateral = mesh.CellType.quadrilateral
 # Sums over ranks have another order, which changes the last digit (1e-16) of what they sum up. In

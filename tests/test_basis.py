@@ -28,6 +28,8 @@ from fenicsmpm import MaterialPoints, basis, forms
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.transfer import p2g
 
+pytestmark = pytest.mark.ranks
+
 # --- functions and derivatives -------------------------------------------------------------------
 
 

@@ -13,6 +13,8 @@ from fenicsmpm.diagnostics import angular_momentum, momentum
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.transfer import p2g, project
 
+pytestmark = pytest.mark.ranks
+
 # --- mapping -------------------------------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ from fenicsmpm import io, points, shapes
 from fenicsmpm.points.agreement import do_there
 
 COMM = MPI.COMM_WORLD
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.ranks]
 
 
 def plane(n=12):

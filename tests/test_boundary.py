@@ -14,6 +14,8 @@ from fenicsmpm.cells import ActiveCells
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 
 

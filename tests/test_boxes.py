@@ -19,6 +19,8 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.location import Locator, locator
 
+pytestmark = pytest.mark.ranks
+
 COMM, SERIAL = MPI.COMM_WORLD, MPI.COMM_SELF
 LOWER, UPPER = np.array([-1.0, 2.0, 0.5]), np.array([1.1, 2.7, 4.0])
 BOTH = pytest.mark.parametrize("d", [2, 3])

@@ -23,6 +23,8 @@ from fenicsmpm.io.checkpoint import CheckpointError
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import fill, lattice, migration, on_curve
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

@@ -17,6 +17,8 @@ from fenicsmpm.forms.regions import RegionForm
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 
 

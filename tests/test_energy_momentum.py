@@ -199,6 +199,7 @@ def test_same_stress_in_ufl_and_at_points():
 # --- parallel -----------------------------------------------------------------------------------
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 @pytest.mark.parametrize("functions", ["linear", "gimp"])
 def test_same_on_several_ranks(functions):

@@ -21,6 +21,8 @@ from fenicsmpm.materials import (
     compiled,
 )
 
+pytestmark = pytest.mark.once
+
 
 @compiled
 def hookean(F, L, parameters, state, sigma):

@@ -11,6 +11,8 @@ from explicit_runs import simulate
 from fenicsmpm import UnstableError, formulations, io, points
 from fenicsmpm.materials import NeoHookean, VonMises
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
 CLAY = VonMises(100.0, 0.4, sigma_y=1.0)

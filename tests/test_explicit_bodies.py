@@ -21,6 +21,8 @@ from fenicsmpm.materials import Law, NeoHookean, VonMises, compiled
 from fenicsmpm.simulation import Reaction
 from fenicsmpm.transfer.tiles import make_nodes
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()
 

@@ -18,6 +18,8 @@ from fenicsmpm.simulation.contact import share_velocities
 from fenicsmpm.transfer import p2g
 from fenicsmpm.transfer.multi_field import Interfaces
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 SOFT = Hencky(E=1000.0, nu=0.3)
 QUADRILATERAL = mesh.CellType.quadrilateral
@@ -92,6 +94,7 @@ def test_discs_meet_and_part(functions):
     assert 0.95 < after / energy < 1.01
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_ranks_do_not_matter():
     """The same on all ranks together as on one, to round-off; triangles, friction, off centre."""

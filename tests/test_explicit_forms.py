@@ -194,6 +194,7 @@ def test_nodal_fields_are_functions():
     assert total == pytest.approx(COMM.allreduce(body["mass"].sum()), rel=1e-12)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["triangles", "hexahedra"])
 def test_the_same_on_any_number_of_ranks(kind):

@@ -9,6 +9,8 @@ from test_explicit import RUBBER, block
 from fenicsmpm import RigidBody, shapes
 from fenicsmpm.diagnostics import momentum, roughness
 
+pytestmark = pytest.mark.once
+
 
 def test_pic_flip_and_a_blend():
     """Nothing accelerates: FLIP leaves velocities, PIC takes those of the grid."""

@@ -14,6 +14,8 @@ from fenicsmpm import formulations, points
 from fenicsmpm.diagnostics import mean_stress, probe
 from fenicsmpm.materials import NeoHookean
 
+pytestmark = pytest.mark.once
+
 REFERENCE = Path(__file__).parent.parent / "benchmarks" / "references" / "bending_beam.csv"
 H = 0.25  # m
 PEAK = 0.45  # s, where the reference bends most

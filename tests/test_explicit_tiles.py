@@ -20,6 +20,8 @@ from fenicsmpm.simulation.lattice_carried import half_size
 from fenicsmpm.simulation.lattice_engine import LatticeEngine
 from fenicsmpm.transfer.wall_averages import wall_shares
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 CELLS = 10
 

@@ -14,6 +14,8 @@ from explicit_runs import use
 from fenicsmpm import ExplicitMPM, basis, formulations, points
 from fenicsmpm.materials import NeoHookean, NewtonianFluid, VonMises
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 BASES = ["linear", "gimp", "quadratic", "cubic"]
 RUBBER = NeoHookean(E=100.0, nu=0.4).pointwise()

@@ -12,6 +12,8 @@ from forms_table import CELLS
 from fenicsmpm import MaterialPoints, forms
 from fenicsmpm.transfer import project
 
+pytestmark = pytest.mark.ranks
+
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("cell", CELLS)

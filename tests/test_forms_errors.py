@@ -11,6 +11,8 @@ from dolfinx import fem, mesh
 
 from fenicsmpm import forms, formulations, materials, points
 
+pytestmark = pytest.mark.ranks
+
 
 class Scene:
     def __init__(self):

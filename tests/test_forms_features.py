@@ -14,6 +14,8 @@ from forms_table import CELLS, make_mesh, smooth
 
 from fenicsmpm import forms, points
 
+pytestmark = pytest.mark.ranks
+
 RULE = 4
 
 

@@ -13,6 +13,8 @@ from mpi4py import MPI
 import pytest
 from dolfinx import fem, mesh
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 STEPS = 60
 

@@ -13,6 +13,8 @@ from dolfinx import mesh
 from fenicsmpm import ImplicitMPM, points
 from fenicsmpm import formulations as fm
 
+pytestmark = pytest.mark.ranks
+
 CAPACITY, DENSITY = 2.0, 3.0
 TURNS_A_SECOND = 0.25
 

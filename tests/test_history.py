@@ -19,6 +19,8 @@ from fenicsmpm.formulations import Newmark, Unknown, body_force, set_initial_sta
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import fill
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

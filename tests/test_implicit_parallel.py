@@ -19,6 +19,8 @@ sys.path.insert(0, str(MESHES))
 pytest.importorskip("gmsh")
 from background import read  # noqa: E402
 
+pytestmark = pytest.mark.ranks
+
 
 def beam_history(comm, stabilization="asgs", scheme=formulations.Bossak, steps=20):
     """Displacements of the corner of a coarse bending beam."""

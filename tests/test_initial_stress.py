@@ -188,6 +188,7 @@ def assert_rest(body, sigma, speed):
     assert np.all(body["F"][:, 2, 2] < 1) and body.volume() == pytest.approx(2 * DEPTH, rel=1e-10)
 
 
+@pytest.mark.once
 @pytest.mark.mpi
 @pytest.mark.parametrize("functions", ["linear", "gimp", "quadratic", "cubic"])
 def test_explicit_column_at_rest(functions):

@@ -24,6 +24,8 @@ from fenicsmpm import io
 from fenicsmpm.io import pictures
 from fenicsmpm.points import fill
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 CELLS = {
     "triangle": 2,

@@ -15,6 +15,8 @@ from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import LinearSolver, LinearSolverError, NewtonError, linear
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 
 

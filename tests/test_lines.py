@@ -8,6 +8,8 @@ import pytest
 
 from fenicsmpm.basis import lines
 
+pytestmark = pytest.mark.once
+
 
 def line(kind, i, t, n, half=0.5):
     """Values and derivatives ``(3, n + 1)`` at the nodes of a line of n cells."""

@@ -15,6 +15,8 @@ from fenicsmpm.points import MaterialPoints, quadrature
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.points.location import Locator, locator
 
+pytestmark = pytest.mark.ranks
+
 SERIAL = MPI.COMM_SELF
 
 

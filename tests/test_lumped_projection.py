@@ -19,6 +19,8 @@ from fenicsmpm.simulation.renewals import renewals
 from fenicsmpm.solvers import NewtonSolver
 from fenicsmpm.transfer import p2g, project
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 
 

@@ -12,6 +12,8 @@ from fenicsmpm import materials
 from fenicsmpm.materials import Hencky, Law, NeoHookean, NewtonianFluid, VonMises, compiled
 from fenicsmpm.materials.tensors import eigen
 
+pytestmark = pytest.mark.once
+
 E, NU = 1000.0, 0.3
 MU, KAPPA = E / (2 * (1 + NU)), E / (3 * (1 - 2 * NU))
 STRAINS = [1e-9, 1e-4, 0.02, 0.3]

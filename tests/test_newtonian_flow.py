@@ -235,6 +235,7 @@ def collapse(comm, steps=40):
     return np.array(history)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_a_column_falls_on_several_ranks_as_on_one():
     alone, together = collapse(MPI.COMM_SELF), collapse(COMM)

@@ -11,6 +11,8 @@ from fenicsmpm import formulations as fm
 from fenicsmpm import points
 from fenicsmpm.points.of_position import CaughtMarker, mask_at, vectors_at
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 TOLD = r"\(3, n\) as in dolfinx, so that x\[0\] are the first coordinates"
 

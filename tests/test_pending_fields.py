@@ -17,6 +17,8 @@ from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import exchange, find_cells
 from fenicsmpm.points.pending_fields import FieldTable
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 NAMES = ("x", "weight", "v", "F")
 BUILT_IN = {"x", "xi", "cell", "weight", "id", "tag"}

@@ -18,7 +18,7 @@ from fenicsmpm.points.sorting import order_by_number
 WORLD = MPI.COMM_WORLD
 KINDS = [CellType.triangle, CellType.tetrahedron, CellType.quadrilateral, CellType.hexahedron]
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.ranks]
 
 
 def box(kind=CellType.triangle, n=5, comm=WORLD):

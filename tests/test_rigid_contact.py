@@ -12,6 +12,8 @@ from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.rigid import inertia_of
 
+pytestmark = pytest.mark.once
+
 COMM, H = MPI.COMM_WORLD, 0.1
 SOLID = Hencky(1e4, 0.3)
 WAYS = ["kernels", "forms", "triangles"]
@@ -205,6 +207,7 @@ def test_points_that_begin_close_to_a_body(share):
     assert body.x[:, 1].min() > lowest
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_the_same_on_any_number_of_ranks(tmp_path):
     """A free polygon on a block on a plane, with friction; and a restart of it."""

@@ -7,6 +7,8 @@ import pytest
 from fenicsmpm import RigidBody, shapes
 from fenicsmpm.rigid import Inertia, inertia_of
 
+pytestmark = pytest.mark.once
+
 TRIANGLE = [(0.0, 0.0), (2.0, 0.0), (0.0, 1.0)]
 CUBE = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 SIDES = [

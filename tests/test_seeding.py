@@ -26,7 +26,7 @@ from fenicsmpm.points import (
 WORLD = MPI.COMM_WORLD
 KINDS = [CellType.triangle, CellType.tetrahedron, CellType.quadrilateral, CellType.hexahedron]
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.ranks]
 
 
 def bend(x):

@@ -25,6 +25,8 @@ from fenicsmpm import io
 from fenicsmpm.io import growing, vtkhdf
 from fenicsmpm.points import MaterialPoints, fill
 
+pytestmark = pytest.mark.ranks
+
 comm = MPI.COMM_WORLD
 
 

@@ -9,6 +9,8 @@ import pytest
 from fenicsmpm import shapes
 from fenicsmpm.shapes import OpenSurfaceError, Solid, contour, fractions, mask, polygon, surface
 
+pytestmark = pytest.mark.once
+
 L_SHAPE = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
 RNG = np.random.default_rng
 

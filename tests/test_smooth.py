@@ -112,6 +112,7 @@ def some_points(dim, name, shape):
     return use(MaterialPoints(lattice(dim, shape=shape), x[here], 1e-3), name)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 @pytest.mark.parametrize("parts", [("p",), ("u", "p")])
 @pytest.mark.parametrize("name", ["linear", "quadratic", "cubic", "gimp"])
@@ -159,6 +160,7 @@ def test_interior_penalty_is_one_on_second_differences(dim, name, parts):
     assert np.abs(product(tangent(R, z), z.U)).max(initial=0.0) < 1e-12 * size
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["triangle", "tetrahedron", "quadrilateral"])
 def test_interior_penalty_is_that_of_dolfinx_on_a_full_mesh(kind):
@@ -213,6 +215,7 @@ def test_interior_penalty_with_inertia():
         assert A.data[seen] == pytest.approx(ratio * plain.data[seen], rel=1e-12)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_interior_penalty_follows_points_and_counts_loads():
     """Facets of a moved body, and those between a body and a load that is apart from it."""
@@ -240,6 +243,7 @@ def test_interior_penalty_follows_points_and_counts_loads():
     assert penalty(alone) == pytest.approx(0.0, abs=1e-14)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_conditions_on_one_rank_only():
     """Matrices over facets are kept or made anew by all ranks together."""
@@ -960,6 +964,7 @@ def leaving(comm=COMM):
     return ImplicitMPM(R, z, scheme, bodies, carried=[edge], newton=newton, on_exit="delete")
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_goes_on_bit_by_bit_while_points_leave(tmp_path):
     path = COMM.bcast(tmp_path) / "splines.h5"

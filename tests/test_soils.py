@@ -17,6 +17,8 @@ from fenicsmpm.materials import (
     check_tangent,
 )
 
+pytestmark = pytest.mark.once
+
 E, NU = 1000.0, 0.3
 MU, KAPPA = E / (2 * (1 + NU)), E / (3 * (1 - 2 * NU))
 SOFTENING = {

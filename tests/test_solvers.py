@@ -25,6 +25,8 @@ from fenicsmpm.solvers import (
     solve_in_load_steps,
 )
 
+pytestmark = pytest.mark.ranks
+
 
 class Cubic:
     """u^3 - c = 0 at every dof by a lumped form: Newton's steps are known by hand."""

@@ -14,6 +14,8 @@ from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import Hencky, NeoHookean, energy, stress
 from fenicsmpm.simulation import add_points, remove_points
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 G, DENSITY, K0 = 9.81, 2000.0, 0.5
 SOIL, RUBBER = Hencky(E=50e6, nu=0.2), NeoHookean(E=50e6, nu=0.2)

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.once
+
 STUDY = runpy.run_path(str(Path(__file__).parents[1] / "studies" / "conserving.py"))
 
 

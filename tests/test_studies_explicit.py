@@ -16,6 +16,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
 import explicit
 import quasi_static
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize("functions", ["quadratic", "gimp", "linear"])
 def test_averages_remove_the_checkerboard(functions):

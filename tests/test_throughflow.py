@@ -106,6 +106,7 @@ def test_plug_of_fluid_through_a_channel(kind):
 def test_what_cannot_be():
     domain, fluid, inlet = channel(0.25, 2)
     fm.set_initial_state(fluid, 1.0)
+    basis.use(fluid, "quadratic")  # as above, for which the loops are compiled
     for spacing in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="positive distance"):
             Source(fluid, inlet, 1.0, (1.0, 0.0), spacing)

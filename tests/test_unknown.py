@@ -11,6 +11,8 @@ from dolfinx import fem, mesh
 from fenicsmpm import forms, points
 from fenicsmpm import formulations as fm
 
+pytestmark = pytest.mark.ranks
+
 
 @pytest.fixture
 def domain():

@@ -170,12 +170,14 @@ def explicit_block(friction, comm=COMM):
     return sim, body, force
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("friction", [0.3, 0.6])
 def test_block_on_an_incline_explicit(friction):
     sim, body, force = explicit_block(friction)
     check_incline(sim, body, force, friction, until=0.32, after=0.2)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_explicit_wall_on_ranks():
     """The same force and momentum on any number of ranks."""

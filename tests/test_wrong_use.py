@@ -21,6 +21,8 @@ from fenicsmpm.points.agreement import do_there
 from fenicsmpm.simulation import Audit
 from fenicsmpm.solvers import CourantStep, NewtonError, NewtonSolver
 
+pytestmark = pytest.mark.ranks
+
 COMM = MPI.COMM_WORLD
 
 

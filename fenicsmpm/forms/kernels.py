@@ -34,9 +34,11 @@ def processor() -> str:
 # Chosen by measurement on residuals and tangents of stabilized forms, straight code of up to some
 # thousand lines: reciprocals instead of divisions and free association save a third. Vectorization
 # within the code (by -O2 or -ftree-slp-vectorize) makes some kernels 5 times slower. NaN and
-# infinity keep their meaning (no -ffinite-math-only).
+# infinity keep their meaning (no -ffinite-math-only). Without "-g0", Python's own flags ask for
+# debugging information, and compilation takes up to four times as long.
 COMPILE_ARGS = [
     "-O1",
+    "-g0",
     "-march=native",
     "-fno-math-errno",
     "-fno-trapping-math",

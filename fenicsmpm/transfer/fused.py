@@ -216,7 +216,10 @@ def transfers(
         def in_all_units(units, nodes, half, body, rows, dt, flip, average, r, s, sums):
             found = np.empty((len(units.chunks) - 1, 2), dtype=np.int64)
             for t in numba.prange(len(units.chunks) - 1):
-                loop(t, units, nodes, half, body, rows, dt, flip, average, r, s, sums, found[t])
+                loop(
+                    np.int64(t), units, nodes, half, body, rows, dt, flip, average, r, s, sums,
+                    found[t],
+                )  # fmt: skip
             return found[:, 0].max(), found[:, 1].max() > 0
 
         return in_all_units
@@ -280,17 +283,17 @@ def transfers(
     @_parallel
     def scatter_all(units, nodes, half, body, sigma, rows):
         for t in numba.prange(len(units.chunks) - 1):
-            scatter(t, units, nodes, half, body, sigma, rows)
+            scatter(np.int64(t), units, nodes, half, body, sigma, rows)
 
     @_parallel
     def finish_all(units, nodes, half, body, average, averages, again, sigma, rows):
         for t in numba.prange(len(units.chunks) - 1):
-            finish(t, units, nodes, half, body, average, averages, again, sigma, rows)
+            finish(np.int64(t), units, nodes, half, body, average, averages, again, sigma, rows)
 
     @_parallel
     def momenta_all(units, nodes, half, body, rows):
         for t in numba.prange(len(units.chunks) - 1):
-            momenta(t, units, nodes, half, body, rows)
+            momenta(np.int64(t), units, nodes, half, body, rows)
 
     return Kernels(
         scatter_all,
