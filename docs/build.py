@@ -44,7 +44,7 @@ MOVED = {
     "CONTRIBUTING.md": "development/contributing.md",
     "benchmarks/README.md": "reference/benchmarks.md",
 }
-FILES = "benchmarks", "demos", "meshes", "studies"  # what else pages lead to
+FILES = "benchmarks", "demos", "fenicsmpm", "meshes", "studies", "tests"  # what else pages lead to
 CARD = """:::{{grid-item-card}} {title}
 {picture}:link: {name}
 :link-type: doc
@@ -132,11 +132,9 @@ def pages() -> None:
         shutil.copy2(ROOT / page, SOURCE / place)
     for folder in FILES:
         shutil.copytree(ROOT / folder, BUILD / folder, dirs_exist_ok=True)
+    shutil.copy2(ROOT / "CITATION.cff", BUILD)
     for page in SOURCE.rglob("*.md"):
-        old, times = page.read_text(), page.stat()
-        if (new := lead(old)) != old:
-            page.write_text(new)
-            os.utime(page, ns=(times.st_atime_ns, times.st_mtime_ns))  # not new for Sphinx
+        page.write_text(lead(page.read_text()))
 
 
 def lead(text: str) -> str:
@@ -259,7 +257,7 @@ def main() -> None:
         place(step, SOURCE / "tutorial")
     gallery(demos)
     reference()
-    sphinx = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q"]
+    sphinx = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-E"]
     build = subprocess.run([*sphinx, "-d", BUILD / "doctrees", SOURCE, SITE])
     if build.returncode != 0:
         sys.exit(build.returncode)
