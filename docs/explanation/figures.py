@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""Draws grid_functions.png and quadrature.png: ``./run python docs/explanation/figures.py``."""
+"""Draws the pictures of this directory: ``./run python docs/explanation/figures.py``."""
 
 from itertools import pairwise
 from pathlib import Path
 
+from mpi4py import MPI
+
 import matplotlib.pyplot as plt
 import numpy as np
+from dolfinx import fem, mesh
+from matplotlib.collections import LineCollection, PolyCollection
 
+from fenicsmpm import points
 from fenicsmpm.basis import lines
+from fenicsmpm.cells import ActiveCells, Tying
 
 HERE = Path(__file__).parent
 CELLS = 6
@@ -97,6 +103,42 @@ def draw_errors():
     figure.savefig(HERE / "quadrature.png")
 
 
+def draw_cut_cells():
+    """Facets of the ghost penalty, and the cells whose functions tied nodes continue."""
+    kind = mesh.CellType.quadrilateral
+    domain = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (6, 4)], [6, 4], kind)
+    body = points.lattice(domain, 1 / 6, inside=lambda x: x[1] + 0.35 * x[0] < 3.2)
+    cells = ActiveCells(body)
+    space = fem.functionspace(domain, ("Lagrange", 1))
+    tying = Tying(space, body, cells)
+    corners = domain.geometry.x[domain.geometry.dofmap[:, [0, 1, 3, 2]], :2]
+    facets = mesh.entities_to_geometry(domain, 1, cells.facets())
+    x = space.tabulate_dof_coordinates()[:, :2]
+    rows = {dof: tying.matrix.getRow(dof)[0] for dof in tying.tied_dofs}
+    ill = {dof: row for dof, row in rows.items() if len(row) > 1}  # others are far from the body
+
+    figure, panels = plt.subplots(1, 2, figsize=(11, 4.2), dpi=150)
+    for axis in panels:
+        axis.add_collection(PolyCollection(corners, facecolors="none", edgecolors="0.8"))
+        cut = corners[cells.cut_cells()]
+        axis.add_collection(PolyCollection(cut, facecolors="#dbe9f6", edgecolors="0.8"))
+        axis.plot(*body.x.T, ".", ms=2.5, color="0.45")
+        axis.set(xlim=(-0.2, 6.2), ylim=(-0.2, 4.2), aspect="equal", xlabel="x / h", ylabel="y / h")
+        axis.set_yticks(range(5))
+    left, right = panels
+    lines_of_facets = domain.geometry.x[facets][:, :, :2]
+    left.add_collection(LineCollection(lines_of_facets, colors="tab:red", lw=2))
+    left.set_title("ghost penalty: cut cells (blue), penalized facets (red)", fontsize=10)
+    for dof, row in ill.items():
+        arrow = {"arrowstyle": "->", "color": "tab:red"}
+        right.annotate("", x[row].mean(axis=0), x[dof], arrowprops=arrow)
+    right.plot(*x[list(ill)].T, "o", color="tab:red", ms=5)
+    right.set_title("tying: ill nodes, and the cells whose functions they continue", fontsize=10)
+    figure.tight_layout()
+    figure.savefig(HERE / "cut_cells.png")
+
+
 if __name__ == "__main__":
     draw_functions()
     draw_errors()
+    draw_cut_cells()

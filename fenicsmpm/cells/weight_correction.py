@@ -23,7 +23,7 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
     stay.
 
     With smooth functions, corrected weights keep more of the energy of long runs, but pressures at
-    points see how weights jump from cell to cell (docs/smooth.md).
+    points see how weights jump from cell to cell (docs/explanation/smooth_functions.md).
 
     A cell is interior if no vertex of it belongs to a cell without points. Left as they are: cells
     filled to less than 0.5 or more than 1.5 of their volume, and cells shared with another body.

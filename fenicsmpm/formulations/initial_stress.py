@@ -36,7 +36,7 @@ def initial_stress(
     before ``EnergyMomentum`` and its like take the stress of the first step.
 
     In equilibrium is a body whose stresses balance its weight as its points integrate both, see
-    "Initial stress" in docs/dynamics.md.
+    "Initial stress" in docs/howto/soil.md.
 
     Args:
         points: the body, with the fields of ``set_initial_state``. Where it has the state of a law,
