@@ -2,7 +2,7 @@
 """Functions of one's own in loops, when garbage is collected at other times on other ranks.
 
 A new vector ``f.x.petsc_vec`` in each step, none of its space being kept, would hang here on
-several ranks: see "Functions of your own on several ranks" in docs/dynamics.md.
+several ranks: see "Functions of your own in a loop" in docs/howto/parallel.md.
 """
 
 import gc
