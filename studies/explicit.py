@@ -255,22 +255,26 @@ def landslide(h: float = 0.5, until: float = 4.5, dt: float | None = None, avera
     io.plot("output/landslide_run_out.png", curves, "t since the failure [s]", "run-out [m]")
 
 
+def spinning(functions, flip, h, turns, rate=0.2):
+    """A free elastic disc: steps of some turns, and the share of its angular momentum left."""
+    z = velocity((0, 0), (1, 1), h, walls=False)
+    disc = points.lattice(z.mesh, h / 2, inside=lambda x: np.hypot(*(x[:2] - 0.5)) < 0.3)
+    seen(disc, functions, h / 2)
+    fm.set_initial_state(disc, 1e3, lambda x: rate * np.array([0.5 - x[1], x[0] - 0.5]))
+    R = fm.internal_force(z.test.v, disc, NeoHookean(E=1e3, nu=0.3))
+    sim = ExplicitMPM(R, z, disc, flip=flip)
+    start, until = angular_momentum(disc), turns * 2 * math.pi / rate
+    list(advance(sim, until, until / 20, f"{functions}, {flip:g}"))
+    return sim.number, angular_momentum(disc) / start
+
+
 @app.command()
 def spin(h: float = 0.05, turns: float = 2.0, bases: Names = SPLINES,
          flip: list[float] = [1.0, 0.99, 0.0]):  # fmt: skip
     """A free disc spins: the angular momentum that shares of FLIP leave after some turns."""
-    table = io.Table({"functions".ljust(9): "s", "flip": ".2f", "steps": "d", "left": ".1%"})
+    table = io.Table({"functions".ljust(9): "s", "FLIP": ".2f", "steps": "d", "left": ".1%"})
     for functions, share in product(bases, flip):
-        z = velocity((0, 0), (1, 1), h, walls=False)
-        disc = points.lattice(z.mesh, h / 2, inside=lambda x: np.hypot(*(x[:2] - 0.5)) < 0.3)
-        seen(disc, functions, h / 2)
-        fm.set_initial_state(disc, 1e3, lambda x: 0.2 * np.array([0.5 - x[1], x[0] - 0.5]))
-        R = fm.internal_force(z.test.v, disc, NeoHookean(E=1e3, nu=0.3))
-        sim = ExplicitMPM(R, z, disc, flip=share)
-        start = angular_momentum(disc)
-        until = turns * 2 * math.pi / 0.2
-        list(advance(sim, until, until / 20, f"{functions}, {share:g}"))
-        table.row(functions.ljust(9), share, sim.number, angular_momentum(disc) / start)
+        table.row(functions.ljust(9), share, *spinning(functions, share, h, turns))
 
 
 if __name__ == "__main__":

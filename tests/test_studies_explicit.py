@@ -36,6 +36,13 @@ def test_dam_break_with_edges_and_with_cells_beyond_walls():
     assert at_rest < 0.05
 
 
+def test_shares_of_flip_leave_a_spin():
+    """The less, the smaller the share: it is one of each step."""
+    left = [explicit.spinning("quadratic", flip, 0.1, 0.25)[1] for flip in (1.0, 0.9, 0.0)]
+    assert left[0] > 0.9
+    assert left[0] > left[1] > 2 * left[2]
+
+
 def test_slope_stands_in_space():
     """As in a plane section, with a factor of safety of 1.67."""
     law, sim = explicit.slope("quadratic", "default", 1.0)
