@@ -18,8 +18,10 @@
 # $\varepsilon_p$, its yield stress falls from the peak to the residual one:
 #
 # $$
-# \kappa = \kappa_r + (\kappa_p - \kappa_r)\,e^{-\eta\,\varepsilon_p},
-# \qquad \kappa_p = 50\ \mathrm{kPa}, \quad \kappa_r = 3\ \mathrm{kPa}, \quad \eta = 5 .
+# \begin{gathered}
+# \kappa = \kappa_r + (\kappa_p - \kappa_r)\,e^{-\eta\,\varepsilon_p}, \\
+# \kappa_p = 50\ \mathrm{kPa}, \quad \kappa_r = 3\ \mathrm{kPa}, \quad \eta = 5 .
+# \end{gathered}
 # $$
 #
 # Averages of $J$ keep it from locking, as in the [strip footing](strip_footing.py). The law has no
