@@ -26,9 +26,9 @@
 # Four things belong together:
 #
 # - B-splines for both $\mathbf u$ and $p$, chosen by `basis.use`.
-# - The interior penalty, which makes equal orders stable. These splines have no kinks, so the penalty is
-#   taken on the linear functions of the same nodal values, whose jumps $[\,\cdot\,]$ are second
-#   differences.
+# - The interior penalty, which makes equal orders stable. These splines have no kinks, so the
+#   penalty is taken on the linear functions of the same nodal values, whose jumps $[\,\cdot\,]$ are
+#   second differences.
 # - Tied nodes. A node that sees little of the body takes the linear continuation of well-filled
 #   cells.
 # - Corrected weights, which integrate constants exactly in full cells.
