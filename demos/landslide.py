@@ -25,7 +25,7 @@
 # $$
 #
 # Averages of $J$ keep it from locking, as in the [strip footing](strip_footing.py). The law has no
-# length, so shear bands are as wide as some cells.
+# internal length, so shear bands are as wide as some cells.
 #
 # The strength in plane strain is $s = \kappa_p/\sqrt 3$. By slip circles, a slope of 45 degrees and
 # height $H$ on a firm base needs $s = 0.164\,\rho g H$ (D. W. Taylor, J. Boston Soc. Civil
