@@ -3,7 +3,7 @@
 # # Taylor bar
 #
 # A copper bar hits a rigid wall at 227 m/s. Its foot spreads like a mushroom, and within 80
-# microseconds nearly all of its energy has become plastic work. This is the classical benchmark of
+# microseconds most of its energy has become plastic work. This is the classical benchmark of
 # transient codes. They agree that the bar ends 21.4 to 21.5 mm long, with a foot of 7.0 to 7.2 mm
 # radius. Here an implicit step that conserves energy comes within a percent of both numbers, in
 # about a hundred steps.
