@@ -23,8 +23,11 @@
 # In each step (VMS, equations 8 to 11), for all $\mathbf w$ and $q$,
 #
 # $$
+# \begin{aligned}
 # (\rho\,\mathbf a, \mathbf w) + (\boldsymbol\sigma_\mathrm{dev}, \nabla\mathbf w)
-# + (p, \nabla\cdot\mathbf w) = 0, \qquad (J - 1, q) = 0,
+# + (p, \nabla\cdot\mathbf w) &= 0, \\
+# (J - 1, q) &= 0,
+# \end{aligned}
 # $$
 #
 # with algebraic subgrid scales and a ghost penalty on the facets of cut cells, as in [Cook's

@@ -19,8 +19,11 @@
 # to 11, for a static incompressible body) asks that for all $\mathbf w$ and $q$
 #
 # $$
+# \begin{aligned}
 # (\boldsymbol\sigma_\mathrm{dev}, \nabla\mathbf w) + (p, \nabla\cdot\mathbf w)
-# = \langle\mathbf t, \mathbf w\rangle_\mathrm{right\ edge}, \qquad (J - 1, q) = 0,
+# &= \langle\mathbf t, \mathbf w\rangle_\mathrm{right\ edge}, \\
+# (J - 1, q) &= 0,
+# \end{aligned}
 # $$
 #
 # with the neo-Hookean stress
@@ -31,9 +34,11 @@
 # with the adjoint operator $\mathcal L^*$ (VMS, equations 19 to 22):
 #
 # $$
+# \begin{gathered}
 # \sum_K \langle \tau_1 \nabla p, \mathcal L^*_u(\mathbf w, q)\rangle_K
-# + \langle \tau_2 (J - 1), \nabla\cdot\mathbf w\rangle_K,
-# \qquad \tau_1 = \frac{h^2}{2\mu}, \quad \tau_2 = 2\mu .
+# + \langle \tau_2 (J - 1), \nabla\cdot\mathbf w\rangle_K, \\
+# \tau_1 = \frac{h^2}{2\mu}, \quad \tau_2 = 2\mu .
+# \end{gathered}
 # $$
 #
 # $\mathcal L^*_u$ contains $-\nabla q$, so that pressures of neighbouring nodes are coupled. The

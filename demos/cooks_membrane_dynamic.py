@@ -18,9 +18,11 @@
 # the undeformed background mesh such that for all $\mathbf w$ and $q$ (VMS, equations 8 to 11)
 #
 # $$
+# \begin{aligned}
 # (\rho\,\mathbf a, \mathbf w) + (\boldsymbol\sigma_\mathrm{dev}, \nabla\mathbf w)
-# + (p, \nabla\cdot\mathbf w) = \langle\mathbf t, \mathbf w\rangle_\mathrm{edge}, \qquad
-# (J - 1, q) = 0 .
+# + (p, \nabla\cdot\mathbf w) &= \langle\mathbf t, \mathbf w\rangle_\mathrm{edge}, \\
+# (J - 1, q) &= 0 .
+# \end{aligned}
 # $$
 #
 # Integrals are sums over material points. The acceleration $\mathbf a$ is an expression in

@@ -94,8 +94,8 @@ for name, averages in AVERAGES.items():
 
 # ## Results
 #
-# Without averages, the mean stress is noise. `roughness` measures it: the part that changes from
-# point to point, here as a share of the load per area.
+# Without averages, the mean stress is noise along the edges. `roughness` measures it: the part that
+# changes from point to point, here as a share of the load per area.
 
 io.picture(
     "output/cooks_membrane_explicit.png", clouds, "p", "mean stress [Pa]", limits=(-0.1, 0.1)

@@ -15,18 +15,20 @@
 # Burman and P. Hansbo, CMAME 195, 2006) instead of subgrid scales:
 #
 # $$
+# \begin{aligned}
 # (\rho\,\mathbf a, \mathbf w) + (\boldsymbol\sigma_\mathrm{dev}, \nabla\mathbf w)
-# + (p, \nabla\cdot\mathbf w) = \langle\mathbf t, \mathbf w\rangle_\mathrm{edge}, \qquad
+# + (p, \nabla\cdot\mathbf w) &= \langle\mathbf t, \mathbf w\rangle_\mathrm{edge}, \\
 # (J - 1, q) - \frac{\gamma h^3}{2\mu}
-# \big([\nabla p\cdot\mathbf n], [\nabla q\cdot\mathbf n]\big) = 0 .
+# \big([\nabla p\cdot\mathbf n], [\nabla q\cdot\mathbf n]\big) &= 0 .
+# \end{aligned}
 # $$
 #
 # Four things belong together:
 #
 # - B-splines for both $\mathbf u$ and $p$, chosen by `basis.use`.
-# - The interior penalty, which makes equal orders stable. Splines have no kinks, so the penalty is
-#   taken on the linear functions of the same nodal values, whose jumps $[\,\cdot\,]$ are second
-#   differences.
+# - The interior penalty, which makes equal orders stable. These splines have no kinks, so the
+#   penalty is taken on the linear functions of the same nodal values, whose jumps $[\,\cdot\,]$ are
+#   second differences.
 # - Tied nodes. A node that sees little of the body takes the linear continuation of well-filled
 #   cells.
 # - Corrected weights, which integrate constants exactly in full cells.

@@ -17,9 +17,11 @@
 # deformation $\mathbf f$ of a step,
 #
 # $$
-# \rho\,\mathbf a = \nabla\cdot\boldsymbol\sigma + \rho\,\mathbf g, \qquad
-# \boldsymbol\sigma = 2\mu \operatorname{sym}\nabla\mathbf v + p\,\mathbf I, \qquad
-# \det\mathbf f = 1 .
+# \begin{aligned}
+# \rho\,\mathbf a &= \nabla\cdot\boldsymbol\sigma + \rho\,\mathbf g, \\
+# \boldsymbol\sigma &= 2\mu \operatorname{sym}\nabla\mathbf v + p\,\mathbf I, \\
+# \det\mathbf f &= 1 .
+# \end{aligned}
 # $$
 #
 # The weak form is that of a solid with another law, and so are the subgrid scales (ASGS). Water

@@ -4,8 +4,8 @@
 #
 # The implicit time loop takes any residual in UFL, and points may carry more than a displacement.
 # Here they carry a temperature. A hot square turns in a background mesh that stays, and conducts
-# heat. What one looks at in this tour is how little it takes to add a field, and that neither the
-# rotation nor the crossing of cells smears the temperature.
+# heat. The second field takes a few lines. Neither the rotation nor the crossing of cells smears
+# it.
 #
 # ## Problem
 #

@@ -18,12 +18,14 @@
 # $\varepsilon_p$, its yield stress falls from the peak to the residual one:
 #
 # $$
-# \kappa = \kappa_r + (\kappa_p - \kappa_r)\,e^{-\eta\,\varepsilon_p},
-# \qquad \kappa_p = 50\ \mathrm{kPa}, \quad \kappa_r = 3\ \mathrm{kPa}, \quad \eta = 5 .
+# \begin{gathered}
+# \kappa = \kappa_r + (\kappa_p - \kappa_r)\,e^{-\eta\,\varepsilon_p}, \\
+# \kappa_p = 50\ \mathrm{kPa}, \quad \kappa_r = 3\ \mathrm{kPa}, \quad \eta = 5 .
+# \end{gathered}
 # $$
 #
 # Averages of $J$ keep it from locking, as in the [strip footing](strip_footing.py). The law has no
-# length, so shear bands are as wide as some cells.
+# internal length, so shear bands are as wide as some cells.
 #
 # The strength in plane strain is $s = \kappa_p/\sqrt 3$. By slip circles, a slope of 45 degrees and
 # height $H$ on a firm base needs $s = 0.164\,\rho g H$ (D. W. Taylor, J. Boston Soc. Civil

@@ -15,8 +15,8 @@
 #
 # $$
 # \begin{aligned}
-# (\mathbf P, \operatorname{Grad}\mathbf w) &= 0, \qquad
-# \mathbf P = \frac{\partial}{\partial\mathbf F} \left((1 - d)^2\,\psi^+ + \psi^-\right), \\
+# (\mathbf P, \operatorname{Grad}\mathbf w) &= 0, \\
+# \frac{\partial}{\partial\mathbf F} \left((1 - d)^2\,\psi^+ + \psi^-\right) &= \mathbf P, \\
 # \frac{3 G_c}{8 l} \left((1, s) + 2 l^2 (\nabla d, \nabla s)\right)
 # - 2\,((1 - d)\,\mathcal H, s) &= 0 .
 # \end{aligned}

@@ -124,7 +124,7 @@ for _ in io.watch(sim.run(LAST - FIRST, largest=STEP), LAST - FIRST, "slope"):
 
 io.picture("output/slope.png", slope, "eps_p", "plastic strain", cut=1)
 
-# The displacement takes off where limit analysis says:
+# The displacement takes off at a factor that is two percent above that of limit analysis:
 
 factor = FIRST + history["t [s]"]
 way = history["largest displacement [m]"]

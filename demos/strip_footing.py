@@ -36,6 +36,7 @@ import numpy as np
 from dolfinx import mesh
 
 from fenicsmpm import ExplicitMPM, RigidBody, basis, formulations, io, points, shapes
+from fenicsmpm.diagnostics import mean_stress
 from fenicsmpm.materials import VonMises
 
 # -
@@ -81,15 +82,17 @@ for name, averages in AVERAGES.items():
     curves[name] = speed * history["t [s]"] / B, history["load"]
     plateaus[name] = history["load"][-40:].mean()
     io.say(f"{name}: load {plateaus[name]:.3f} times the strength, Prandtl {PRANDTL:.3f}")
+    ground.add_field("p", (), mean_stress(ground["sigma"]) / STRENGTH)
     clouds[name] = io.gather_points(ground)
 
 # ## Results
 #
-# With averages, Prandtl's mechanism appears: a wedge under the footing, a fan at its edge, and a
-# wedge beside it that is pushed up.
+# Under the strip, Prandtl's mean stress is $-(1 + \pi)\,s$. Without averages, the stresses around
+# it are noise:
 
-around = (0, top - 1.5 * B), (2.5 * B, top)
-io.picture("output/strip_footing.png", clouds, "eps_p", "plastic strain", cut=1, bounds=around)
+look = {"limits": (-5.0, 0.0), "bounds": ((0, top - 1.5 * B), (2.5 * B, top))}
+label = "mean stress / shear strength [-]"
+io.picture("output/strip_footing.png", clouds, "p", label, **look)
 
 # The load reaches a plateau close to Prandtl's. Finer cells come closer: see
 # `studies/explicit.py footing`, which has other averages and uGIMP, too.

@@ -3,9 +3,10 @@
 # # Taylor bar
 #
 # A copper bar hits a rigid wall at 227 m/s. Its foot spreads like a mushroom, and within 80
-# microseconds nearly all of its energy has become plastic work. This is the classical benchmark of
+# microseconds most of its energy has become plastic work. This is the classical benchmark of
 # transient codes. They agree that the bar ends 21.4 to 21.5 mm long, with a foot of 7.0 to 7.2 mm
-# radius. Here an implicit step that conserves energy meets both numbers in about a hundred steps.
+# radius. Here an implicit step that conserves energy comes within a percent of both numbers, in
+# about a hundred steps.
 #
 # The data are those of section 7.4 of G. Pretti, W. M. Coombs, C. E. Augarde, B. Sims, M. Marchena
 # Puigvert and J. A. Reyna Gutiérrez, *A conservation law consistent updated Lagrangian material
@@ -26,9 +27,12 @@
 # the wall, on which the bar may slide.
 
 # +
+import itertools
+
 from mpi4py import MPI
 
 import numpy as np
+import pyvista
 from dolfinx import mesh
 
 from fenicsmpm import ImplicitMPM, basis, formulations, io, points
@@ -90,8 +94,24 @@ for step in io.watch(sim.run(END), END, "Taylor bar"):
         clouds[f"t = {1e6 * step.time:.3g} us"] = io.gather_points(bar)
 
 # ## Results
+#
+# The picture shows the whole bar, upright: the quarter and its mirror images. Points are on rank 0
+# only.
 
-io.picture("output/taylor_bar.png", clouds, "dissipation", "dissipated [J/m^3]", cut=1)
+
+def whole(cloud):
+    if cloud is None:
+        return None
+    x, y, z = cloud.points.T
+    parts = []
+    for a, b in itertools.product((1, -1), repeat=2):
+        parts.append(cloud.copy())
+        parts[-1].points = np.column_stack([a * x, b * z, y])
+    return pyvista.merge(parts, merge_points=False)
+
+
+bars = {title: whole(cloud) for title, cloud in clouds.items()}
+io.picture("output/taylor_bar.png", bars, "dissipation", "dissipated [J/m^3]", cut=1)
 
 # Length and radius agree with other codes. The points at the ends of the bar tell how much both
 # have changed.

@@ -255,6 +255,15 @@ def test_pictures_whose_file_is_gone_or_no_image_show_as_text(directory):
     assert "&lt;b&gt;" in shown and "<b>" not in shown
 
 
+def test_what_is_not_a_number_is_grey(directory):
+    points = fill(unit_mesh("triangle", 8), 2)
+    points.add_field("q", (), np.where(points.x[:, 0] < 0.5, points.x[:, 1], np.nan))
+    io.picture(directory / "half.png", points, "q")
+    image = matplotlib.image.imread(directory / "half.png")[..., :3]
+    assert (np.abs(image - 169 / 255) < 0.01).all(axis=2).mean() > 0.1  # pyvista's "darkgray"
+    assert painted(directory / "half.png", 0.5) > 0  # colours are for the range of the numbers
+
+
 def test_picture_in_space(directory):
     domain = unit_mesh("hexahedron", 2)
     p, _ = functions(domain)

@@ -100,9 +100,9 @@ def picture(
         data: points, several sets of points that are drawn as one, a P1 function, or what
             ``gather_points`` or ``gather_functions`` returned at an earlier time; or titles and
             these, for several pictures.
-        field: name of the field that gives the colours; of vectors and tensors it is the norm. None
-            for the field of a function, and for points in one colour, in the plane with the cells
-            of their mesh.
+        field: name of the field that gives the colours; of vectors and tensors it is the norm, and
+            what is not a number is grey. None for the field of a function, and for points in one
+            colour, in the plane with the cells of their mesh.
         label: text beside the colour bar, with the unit; None for the name of the field.
         component: component to show instead of the norm, of 3 of a vector or 9 of a tensor.
         displacement: name of a vector field [m] by which the picture is deformed; None for the
@@ -167,7 +167,7 @@ def _gathered(data: Drawable) -> pyvista.DataSet | None:
 
 def _colour_range(values: Sequence[Array], cut: float = 0.0) -> tuple[float, float]:
     """Range of values of some panels, without some percent of each at either end."""
-    ends = np.array([np.percentile(one, [cut, 100 - cut]) for one in values])
+    ends = np.array([np.nanpercentile(one, [cut, 100 - cut]) for one in values])
     return float(ends[:, 0].min()), float(ends[:, 1].max())
 
 
