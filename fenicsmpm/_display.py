@@ -8,6 +8,37 @@ import html
 import mimetypes
 import os
 from pathlib import Path
+from typing import TypeAlias
+
+Facts: TypeAlias = list[tuple[str, str]]
+
+
+class Described:
+    """Something that is printed as lines, and shown by a notebook as a table of the same facts.
+
+    One rank may be printed alone, so that the facts are those of this rank and no others.
+    """
+
+    def _facts(self) -> Facts:
+        """What is to be said: pairs of a name and a text. Not collective."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        """The class, and a line for each fact."""
+        facts = self._facts()
+        width = max(len(name) for name, _ in facts)
+        return "\n".join(
+            [type(self).__name__, *(f"  {name:<{width}}  {text}" for name, text in facts)]
+        )
+
+    def _repr_html_(self) -> str:
+        """A table with a row for each fact."""
+        left = ' style="text-align: left"'
+        rows = "".join(
+            f"<tr><th{left}>{html.escape(name)}</th><td{left}>{html.escape(text)}</td></tr>"
+            for name, text in self._facts()
+        )
+        return f"<table><caption{left}>{type(self).__name__}</caption>{rows}</table>"
 
 
 class Picture(os.PathLike[str]):

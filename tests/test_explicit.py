@@ -426,7 +426,7 @@ def test_wrong_input():
     for until, interval in ((np.inf, None), (1.0, 0.0)):
         with pytest.raises(ValueError, match="run until"):
             next(sim.run(until, interval))
-    assert "points of" in repr(sim) and "dt = " in repr(sim)
+    assert "points of " in repr(sim) and "step length" in repr(sim)
 
 
 def test_the_paper_s_time_step():

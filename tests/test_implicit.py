@@ -453,8 +453,13 @@ def test_a_field_of_ones_own():
 
 
 def test_printing():
-    text = repr(Flight().sim)
+    sim = Flight().sim
+    text = repr(sim)
     assert "ImplicitMPM" in text and "144 points" in text and "Bossak(dt=0.01 s" in text
+    step = sim.step()
+    assert "steps done     1\n" in str(sim) and "0.01 s" in str(step)
+    assert str(step.newton).splitlines()[1:] == str(step).splitlines()[4:]
+    assert repr(step).startswith("Step(number=1, time=0.01")
 
 
 @pytest.mark.slow

@@ -420,8 +420,13 @@ def test_repr_says_what_there_is():
     points = MaterialPoints(mesh, [[0.1, 0.1], [0.2, 0.3], [0.9, 0.8]], 0.25)
     points.add_field("v", (2,))
     assert repr(points) == (
-        "MaterialPoints: 3 of 3 points in 2 of 4 cells, a filled cell has 1 to 2, 1.5 on average\n"
-        "  total weight 0.75, bounds [0.1 0.1] to [0.9 0.8], fields: v"
+        "MaterialPoints\n"
+        "  number            3 of 3 points\n"
+        "  in cells          2 of 4\n"
+        "  points in a cell  1 to 2, 1.5 on average\n"
+        "  bounds            [0.1 0.1] to [0.9 0.8] m\n"
+        "  total weight      0.75\n"
+        "  fields            v (2)"
     )
 
 

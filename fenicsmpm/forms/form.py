@@ -7,11 +7,12 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.check_arities import ArityMismatch, check_integrand_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from fenicsmpm import _jit
+from fenicsmpm._display import Described, Facts
 from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.integral import PointIntegral, selected_tags
 from fenicsmpm.forms.regions import RegionForm, is_region
@@ -19,7 +20,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
 
 
-class Form:
+class Form(Described):
     """A compiled form: integrals over points, and what is left for dolfinx.
 
     Create it with ``form``.
@@ -83,18 +84,47 @@ class Form:
         for function in self._derived:
             function.follow_points()
 
-    def __repr__(self) -> str:
-        """Rank, spaces and where the integrals are taken."""
-        parts = [
-            f"{len(i.points)} points" + ("" if i.tag is None else f" with tag {i.tag}")
+    @property
+    def _kind(self) -> str:
+        return ("scalar", "vector", "matrix")[self.rank]
+
+    def _integrals(self) -> list[tuple[str, str]]:
+        """Where integrals are taken, and the names of the coefficients in them."""
+        found = [
+            (
+                f"{len(i.points)} points" + ("" if i.tag is None else f" with tag {i.tag}"),
+                [source.item for source in i.lowered.inputs],
+            )
             for i in self.point_integrals
         ]
-        if self.ordinary is not None:
-            parts.append("cells or facets of the mesh")
-        if self.region_forms:
-            parts.append("cells or facets that follow points")
-        kind = ("scalar", "vector", "matrix")[self.rank]
-        return f"Form({kind}, integrals over {', '.join(parts) or 'nothing'})"
+        of_mesh: dict[str, list[Any]] = {}
+        for integral in self.ufl_form.integrals():
+            data = integral.subdomain_data()
+            if not isinstance(data, MaterialPoints):
+                which = "that follow points" if is_region(data) else "of the mesh"
+                items = of_mesh.setdefault(f"cells or facets {which}", [])
+                items += extract_coefficients(integral.integrand())
+        return [(where, _names(items)) for where, items in [*found, *of_mesh.items()]]
+
+    def _facts(self) -> Facts:
+        sizes = [
+            space.dofmap.index_map.size_global * space.dofmap.index_map_bs
+            for space in self.function_spaces
+        ]
+        of = " x ".join(str(size) for size in sizes)
+        facts = [("form", f"{self._kind} of {of} values" if sizes else self._kind)]
+        return facts + [(f"over {where}", names) for where, names in self._integrals()]
+
+    def __repr__(self) -> str:
+        """Rank, and where the integrals are taken."""
+        where = ", ".join(where for where, _ in self._integrals()) or "nothing"
+        return f"Form({self._kind}, integrals over {where})"
+
+
+def _names(items: list[Any]) -> str:
+    """Names of functions and of fields of points, each once."""
+    named = [item.name for item in items if isinstance(item, fem.Function | PointField)]
+    return ", ".join(dict.fromkeys(named)) or "no coefficients"
 
 
 def form(

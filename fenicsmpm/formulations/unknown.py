@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm._display import Described, Facts
 from fenicsmpm.basis import is_linear
 from fenicsmpm.points.agreement import do_there, raise_together
 from fenicsmpm.points.of_position import CaughtMarker, OfPosition
@@ -63,7 +64,7 @@ class Part:
             raise ValueError(f"the share of FLIP must lie in [0, 1]: flip = {self.flip}")
 
 
-class Unknown:
+class Unknown(Described):
     """The unknown of a problem: named parts on one mesh, in one function for UFL.
 
     ``Unknown(mesh, "u", "p")`` has the linear functions of displacement and pressure: the name "u"
@@ -288,6 +289,16 @@ class Unknown:
             raise ValueError(
                 f"the function has parts of shapes {list(shapes)}, but {self!r} needs {wanted}"
             )
+
+    def _facts(self) -> Facts:
+        facts = []
+        for part in self.parts:
+            dofmap = self.part_space(part.name).dofmap
+            n = dofmap.index_map.size_global * dofmap.index_map_bs
+            kind = "vector" if part.is_vector else "scalar"
+            facts.append((part.name, f"{kind}, {part.role}, {n} degrees of freedom"))
+        fixed = ", ".join(condition.part for condition in self.conditions)
+        return [*facts, ("conditions on", fixed or "none")]
 
     def __repr__(self) -> str:
         """Names, shapes and roles of the parts."""

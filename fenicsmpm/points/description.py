@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fenicsmpm._display import Facts
+
 if TYPE_CHECKING:
     from fenicsmpm.points.material_points import MaterialPoints
 
 
-def describe(points: MaterialPoints) -> str:
+def facts_of(points: MaterialPoints) -> Facts:
     """Numbers of points and cells, weight, bounds and fields, of this rank.
 
     Args:
@@ -19,17 +21,24 @@ def describe(points: MaterialPoints) -> str:
     """
     comm = points.mesh.comm
     where = f" on rank {comm.rank} of {comm.size}" if comm.size > 1 else ""
-    text = f"MaterialPoints: {len(points)} of {points.size_global} points{where}"
-    if len(points) == 0:
-        return text
-    topology = points.mesh.topology
-    n_cells = topology.index_map(topology.dim).size_local
-    count = np.diff(points.cell_offsets)
-    count = count[count > 0]
-    x, fields = points.x, ", ".join(points.field_names) or "none"
-    lower, upper = (np.array2string(b, precision=6) for b in (x.min(0), x.max(0)))
-    return (
-        f"{text} in {len(count)} of {n_cells} cells, a filled cell has "
-        f"{count.min()} to {count.max()}, {count.mean():.3g} on average\n"
-        f"  total weight {points.weight.sum():.6g}, bounds {lower} to {upper}, fields: {fields}"
-    )
+    facts = [("number", f"{len(points)} of {points.size_global} points{where}")]
+    if len(points) > 0:
+        topology = points.mesh.topology
+        n_cells = topology.index_map(topology.dim).size_local
+        count = np.diff(points.cell_offsets)
+        count = count[count > 0]
+        a, b = count.min(), count.max()
+        each = str(a) if a == b else f"{a} to {b}, {count.mean():.3g} on average"
+        x = points.x
+        lower, upper = (np.array2string(b, precision=6) for b in (x.min(0), x.max(0)))
+        # read only: nobody is told that it may have changed
+        weight = points._data["weight"].sum()
+        facts += [
+            ("in cells", f"{len(count)} of {n_cells}"),
+            ("points in a cell", each),
+            ("bounds", f"{lower} to {upper} m"),
+            ("total weight", f"{weight:.6g}"),
+        ]
+    shapes = {name: " x ".join(map(str, points.field_shape(name))) for name in points.field_names}
+    fields = [name + (f" ({shape})" if shape else "") for name, shape in shapes.items()]
+    return [*facts, ("fields", ", ".join(fields) or "none")]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx.mesh import Mesh
 
-from fenicsmpm._display import Picture
+from fenicsmpm._display import Described, Facts, Picture
 from fenicsmpm.points import drawing
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.checks import (
@@ -21,7 +21,7 @@ from fenicsmpm.points.checks import (
     check_same_fields,
     check_selection,
 )
-from fenicsmpm.points.description import describe
+from fenicsmpm.points.description import facts_of
 from fenicsmpm.points.location import locator
 from fenicsmpm.points.migration import find_cells, send_home
 from fenicsmpm.points.numbering import ids_in_order
@@ -34,7 +34,7 @@ from fenicsmpm.points.sorting import order_by_number, sort_by_number
 Selection: TypeAlias = npt.ArrayLike | OfPosition
 
 
-class MaterialPoints(PointArrays):
+class MaterialPoints(PointArrays, Described):
     """Points that carry the material (or a load) through a background mesh.
 
     Every point is on the rank that owns the cell it lies in. Arrays have the point index first.
@@ -382,6 +382,9 @@ class MaterialPoints(PointArrays):
         """Send the points that lie in cells of other ranks there. Collective."""
         self._replace(send_home(self._comm, self._locator, global_cell, self._data))
 
+    def _facts(self) -> Facts:
+        return facts_of(self)
+
     def __repr__(self) -> str:
-        """Numbers of this rank (printing on one rank only must not wait for the others)."""
-        return describe(self)
+        """The same as is printed."""
+        return str(self)

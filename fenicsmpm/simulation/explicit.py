@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm._display import Described, Facts
 from fenicsmpm.basis import functions_of
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.formulations.time_scheme import check_time_step
@@ -26,6 +27,7 @@ from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation.contact import Contact
+from fenicsmpm.simulation.description import facts_of_bodies
 from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
     check_bodies,
@@ -47,7 +49,7 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 logger = logging.getLogger(__name__)
 
 
-class ExplicitMPM:
+class ExplicitMPM(Described):
     """Explicit dynamics of material points on a background mesh that stays.
 
     In a step, points give mass, momentum and forces to the nodes (P2G), ``m a = -R`` gives the
@@ -432,16 +434,20 @@ class ExplicitMPM:
             )
         return "".join(f"; {hint}" for hint in hints)
 
+    def _facts(self) -> Facts:
+        return [
+            ("time", f"{self.time:g} s"),
+            ("steps done", str(self.number)),
+            ("step length", f"{self.dt:g} s"),
+            *facts_of_bodies(self.bodies, self.laws, self.carried, self.rigid),
+            *(("contact", repr(contact)) for contact in self.contacts),
+            *self._way.facts(),
+            ("time spent", str(self.seconds)),
+        ]
+
     def __repr__(self) -> str:
-        """Bodies, time, and which way each part of the residual goes."""
-        bodies = ", ".join(
-            f"{body.size_global} points" + (f" of {self.laws[body]}" if body in self.laws else "")
-            for body in self.bodies
-        )
-        return (
-            f"ExplicitMPM: {bodies}\n  {self._way}\n"
-            f"  step {self.number}, t = {self.time:g} s, dt = {self.dt:g} s"
-        )
+        """The same as is printed."""
+        return str(self)
 
 
 def _smallest_height(mesh: Any) -> float:

@@ -17,6 +17,7 @@ import ufl
 from dolfinx import fem, la
 
 from fenicsmpm import _compat, forms
+from fenicsmpm._display import Facts
 from fenicsmpm.basis import functions_of
 from fenicsmpm.formulations.fbar import FBar
 from fenicsmpm.formulations.internal_force import (
@@ -458,12 +459,10 @@ class ByForms:
     def memory(self, values: Mapping[str, float]) -> None:
         pass
 
-    def __repr__(self) -> str:
+    def facts(self) -> Facts:
         """What is done by forms: everything."""
         parts = [field.form for field in self._fields] + [self._elsewhere]
-        said = "by forms: " + "; ".join(f"{form}" for form in parts if form is not None)
-        contacts = "; ".join(f"{contact!r}" for contact in self._sim.contacts)
-        return said + (f"\n  {contacts}" if contacts else "")
+        return [("by forms", repr(form)) for form in parts if form is not None]
 
 
 def _summed(points: MaterialPoints, new: dict[str, Array]) -> dict[str, Array]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 
 from fenicsmpm import forms
+from fenicsmpm._display import Facts
 from fenicsmpm.basis import functions_of
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.points import MaterialPoints
@@ -323,13 +324,13 @@ class OnLattice:
     def memory(self, values: Mapping[str, float]) -> None:
         self._unsorted = int(values["unsorted"])
 
-    def __repr__(self) -> str:
+    def facts(self) -> Facts:
         """Which part of the residual goes which way."""
         kernels = ["internal forces"]
         if self._sim.residual.gravity:
             kernels.append("gravity")
         if self._tractions:
             kernels.append("loads")
-        text = f"by fused kernels: {', '.join(kernels)}"
         rest = [form for form in (self._at_bodies, self._elsewhere) if form is not None]
-        return text + "".join(f"; by forms: {form}" for form in rest)
+        by_forms = [("by forms", repr(form)) for form in rest]
+        return [("by fused kernels", ", ".join(kernels)), *by_forms]

@@ -16,6 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat
+from fenicsmpm._display import Described, Facts
 from fenicsmpm.cells import Tying
 from fenicsmpm.forms import FieldUpdates, PointExpression
 from fenicsmpm.formulations import Kinematics
@@ -26,6 +27,7 @@ from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.point_field import ComputedField
+from fenicsmpm.simulation.description import facts_of_bodies
 from fenicsmpm.simulation.observer import Observers, Watcher
 from fenicsmpm.simulation.parameters import of_points, of_residual
 from fenicsmpm.simulation.renewals import check_updates, renewals
@@ -49,7 +51,7 @@ logger = logging.getLogger(__name__)
 _EASY = 5
 
 
-class ImplicitMPM:
+class ImplicitMPM(Described):
     """Updated Lagrangian dynamics of material points on a background mesh that stays.
 
     A step is ``map_to_grid``, ``predict``, ``solve``, ``map_to_points`` and ``convect``, which a
@@ -463,16 +465,22 @@ class ImplicitMPM:
                 fields["grad_v"] = k.grad(self.scheme.grid_velocity())
         return fields
 
-    def __repr__(self) -> str:
-        """Unknowns, points and scheme."""
+    def _facts(self) -> Facts:
         dofs = self.unknown.space.dofmap
         n = dofs.index_map.size_global * dofs.index_map_bs
-        bodies = ", ".join(f"{body.size_global} points" for body in self.bodies)
-        carried = sum(points.size_global for points in self.carried)
-        return (
-            f"ImplicitMPM: {n} unknowns on the background mesh, {bodies}, {carried} carried "
-            f"points\n  {self.scheme}\n  step {self.number}, t = {self.time:g} s"
-        )
+        return [
+            ("time", f"{self.time:g} s"),
+            ("steps done", str(self.number)),
+            *facts_of_bodies(self.bodies, self.laws, self.carried, self.rigid),
+            ("unknown", f"{self.unknown!r}, {n} degrees of freedom"),
+            ("scheme", repr(self.scheme)),
+            ("linear solver", repr(self.linear)),
+            ("time spent", str(self.seconds)),
+        ]
+
+    def __repr__(self) -> str:
+        """The same as is printed."""
+        return str(self)
 
 
 def _check_times(renewed: Mapping[MaterialPoints, Mapping[str, Any]], scheme: TimeScheme) -> None:

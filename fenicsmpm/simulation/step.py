@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fenicsmpm._display import Described, Facts
 from fenicsmpm.solvers import NewtonResult
 
 
 @dataclass
-class Step:
+class Step(Described):
     """What happened in a time step.
 
     Attributes:
@@ -27,3 +28,15 @@ class Step:
     newton: NewtonResult | None = None
     attempts: int = 1
     removed: int = 0
+
+    def _facts(self) -> Facts:
+        facts = [
+            ("step", str(self.number)),
+            ("time", f"{self.time:g} s"),
+            ("length", f"{self.dt:g} s"),
+        ]
+        if self.attempts > 1:
+            facts.append(("attempts", f"{self.attempts}, with half the length each time"))
+        if self.removed:
+            facts.append(("points that left the mesh", str(self.removed)))
+        return facts + ([] if self.newton is None else self.newton._facts())

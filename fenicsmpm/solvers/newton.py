@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsmpm import _compat, forms
+from fenicsmpm._display import Described, Facts
 from fenicsmpm.solvers.checks import check_bcs
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 from fenicsmpm.solvers.places import dof_positions, parts_of, sizes_of_cells
@@ -64,7 +65,7 @@ class NewtonError(RuntimeError):
 
 
 @dataclass
-class NewtonResult:
+class NewtonResult(Described):
     """How a solution was found.
 
     Attributes:
@@ -82,6 +83,18 @@ class NewtonResult:
     residuals: list[float] = field(default_factory=list)
     step_lengths: list[float] = field(default_factory=list)
     seconds: Stopwatch = field(default_factory=Stopwatch)
+
+    def _facts(self) -> Facts:
+        facts = [
+            ("Newton iterations", str(self.iterations)),
+            ("tangents", str(self.tangents)),
+            ("residuals", ", ".join(f"{norm:.3g}" for norm in self.residuals)),
+        ]
+        if any(length != 1 for length in self.step_lengths):
+            facts.append(("step lengths", ", ".join(f"{s:g}" for s in self.step_lengths)))
+        if self.linear_iterations:
+            facts.append(("Krylov iterations", str(self.linear_iterations)))
+        return [*facts, ("time spent", str(self.seconds))]
 
 
 class NewtonSolver:

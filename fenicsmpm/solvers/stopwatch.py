@@ -32,3 +32,8 @@ class Stopwatch(dict[str, float]):
             seconds: time [s].
         """
         self[stage] = self.get(stage, 0.0) + seconds
+
+    def __str__(self) -> str:
+        """Seconds of each stage, the longest first."""
+        stages = sorted(self.items(), key=lambda item: -item[1])
+        return ", ".join(f"{stage} {seconds:.2g} s" for stage, seconds in stages) or "none"
