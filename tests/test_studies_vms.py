@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).parents[1]
 MEMBRANE = runpy.run_path(str(ROOT / "studies" / "cooks_membrane.py"))
 DYNAMIC = runpy.run_path(str(ROOT / "studies" / "cooks_membrane_dynamic.py"))

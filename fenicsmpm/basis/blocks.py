@@ -38,8 +38,10 @@ from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
 # Calls in the loops over points would cost more than what they do, and so would counting references
-# to arrays: what is inlined does not. It need not be kept on disk for itself.
-inline = numba.njit(forceinline=True, _nrt=False, **OPTIONS)
+# to arrays: what is inlined does not. It need not be kept on disk for itself. Nor is it called from
+# Python: the code that takes all arrays of a body apart would take a fifth of the compilation.
+INNER: dict[str, Any] = {**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+inline = numba.njit(forceinline=True, _nrt=False, **INNER)
 
 
 @njit

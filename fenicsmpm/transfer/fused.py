@@ -29,7 +29,7 @@ import numba
 import numpy as np
 
 from fenicsmpm._njit import njit
-from fenicsmpm.basis.blocks import OPTIONS, inline, stencils
+from fenicsmpm.basis.blocks import INNER, inline, stencils
 from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.basis.windows import window
 from fenicsmpm.lanes import LANES, LINE_LANES, choose, load, prefetch, store, zeros
@@ -37,8 +37,8 @@ from fenicsmpm.transfer import fused_to_nodes, fused_to_points
 from fenicsmpm.transfer.stresses import stresses
 from fenicsmpm.transfer.windows import SPARE, scratch_rows, windows
 
-_njit = numba.njit(**OPTIONS)
-_allocates = numba.njit(forceinline=True, **OPTIONS)
+_njit = numba.njit(**INNER)
+_allocates = numba.njit(forceinline=True, **INNER)
 _parallel = njit(parallel=True)
 
 # Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from fenicsmpm.basis.blocks import OPTIONS, inline
+from fenicsmpm.basis.blocks import INNER, inline
 from fenicsmpm.basis.windows import window
 from fenicsmpm.lanes import (
     LANES,
@@ -36,13 +36,13 @@ from fenicsmpm.lanes import (
 )
 from fenicsmpm.transfer.grid_rows import INCREMENT, VELOCITY
 
-_njit = numba.njit(**OPTIONS)
+_njit = numba.njit(**INNER)
 
 # What is allocated beyond the last node, for lines that begin there
 SPARE = LINE_LANES
 
 
-@numba.njit(forceinline=True, **OPTIONS)
+@numba.njit(forceinline=True, **INNER)
 def scratch_rows(n, lanes):
     """Zeros ``(n, lanes)`` in compiled code, each row or line within a cache line."""
     memory = np.zeros(n * lanes + LANES)
