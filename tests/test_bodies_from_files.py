@@ -153,7 +153,7 @@ def test_same_points_on_any_number_of_ranks():
 
 @pytest.mark.parametrize("across, most", [(8, 0.01), (16, 0.003)])
 def test_parts_at_the_boundary(across, most):
-    """Volumes before the last factor, of solids anywhere on the lattice: as docs/howto/bodies.md says."""
+    """Volumes before the last factor, anywhere on the lattice, as in docs/howto/bodies.md."""
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     disc = shapes.polygon(np.stack([np.cos(angle), np.sin(angle)], axis=1))
     cube = shapes.mask(np.ones((1, 1, 1), dtype=bool), 2.0, -1.0)
