@@ -12,6 +12,28 @@ import math
 from fenicsmpm.lanes import choose, rough_inverse_cube_root
 from fenicsmpm.materials.law import compiled
 
+__all__ = [
+    "compose",
+    "congruence",
+    "cube_root",
+    "deviator",
+    "eigen",
+    "exponential",
+    "exprel",
+    "exprel_small",
+    "inverse",
+    "inverse_cube_root",
+    "log_of_one_plus",
+    "log_of_one_plus_small",
+    "logarithm",
+    "metric_change",
+    "norm_squared",
+    "rows",
+    "small_exponential",
+    "small_logarithm",
+    "volume_change",
+]
+
 SQRT_3 = math.sqrt(3)
 
 # Up to there, logarithms and exponentials are found by series
