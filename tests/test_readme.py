@@ -70,7 +70,10 @@ def test_named_files_exist(page):
 
 
 def test_one_version():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["version"] == fenicsmpm.__version__
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert settings["project"]["dynamic"] == ["version"]
+    assert settings["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "fenicsmpm.__version__"}
+    recipe = (ROOT / "packaging/conda/recipe.yaml").read_text()
+    assert f'version: "{fenicsmpm.__version__}"' in recipe
     assert f"\nversion: {fenicsmpm.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"## [{fenicsmpm.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
