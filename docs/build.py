@@ -43,8 +43,10 @@ MOVED = {
     "CHANGELOG.md": "reference/changelog.md",
     "CONTRIBUTING.md": "development/contributing.md",
     "benchmarks/README.md": "reference/benchmarks.md",
+    "packaging/README.md": "development/packages.md",
 }
-FILES = "benchmarks", "demos", "fenicsmpm", "meshes", "studies", "tests"  # what else pages lead to
+# What else pages lead to
+FILES = "benchmarks", "demos", "fenicsmpm", "meshes", "packaging", "studies", "tests"
 CARD = """:::{{grid-item-card}} {title}
 {picture}:link: {name}
 :link-type: doc

@@ -12,7 +12,8 @@ import pytest
 import fenicsmpm
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FIRST = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "packaging/README.md")]
+PAGES = [*FIRST, *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -64,13 +65,16 @@ def test_links_of_a_page(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_named_files_exist(page):
     """Paths in backticks, such as `fenicsmpm/forms/form.py`."""
-    pattern = r"`((?:fenicsmpm|demos|tests|benchmarks|docs|\.ci)/[\w./]*)`"
+    pattern = r"`((?:fenicsmpm|demos|tests|benchmarks|docs|packaging|\.ci)/[\w./]*)`"
     for name in re.findall(pattern, page.read_text()):
         assert (ROOT / name).exists(), name
 
 
 def test_one_version():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["version"] == fenicsmpm.__version__
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert settings["project"]["dynamic"] == ["version"]
+    assert settings["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "fenicsmpm.__version__"}
+    recipe = (ROOT / "packaging/conda/recipe.yaml").read_text()
+    assert f'version: "{fenicsmpm.__version__}"' in recipe
     assert f"\nversion: {fenicsmpm.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"## [{fenicsmpm.__version__}]" in (ROOT / "CHANGELOG.md").read_text()

@@ -242,6 +242,13 @@ class _Lowering:
                 return self._plain(item, item.ufl_shape, average)
             if name in CELL_GEOMETRY:
                 return self._plain(item, item.ufl_shape, average=False)
+            if name == "FacetNormal":
+                raise UnsupportedFormError(
+                    f"FacetNormal over material points: {item}. A point lies on no facet: use the "
+                    'normals that boundary points carry, points.field("normal"). Those of '
+                    "points.on_facets, on_curve and on_surface have them, and "
+                    "formulations.set_normals(points, normals) gives them to others."
+                )
             raise UnsupportedFormError(
                 f"{name} over material points: {item}. Available are "
                 f"{', '.join(POINT_GEOMETRY + CELL_GEOMETRY)}."

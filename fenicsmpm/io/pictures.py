@@ -37,6 +37,7 @@ Drawable: TypeAlias = (
 _POINTS = (MaterialPoints, Sequence)
 _COLOURS = "viridis"
 _ONE_COLOUR, _LINES = "tab:blue", "silver"
+_DOT = 1.1  # diameter of a point by the distance of its neighbours
 _PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
 _INCHES = 3.75  # the same on paper
 
@@ -179,6 +180,7 @@ def _draw(
     cut: float,
     bounds: Bounds | None,
 ) -> None:
+    import pyvista
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
@@ -192,7 +194,8 @@ def _draw(
     around += [panel.grid.points for panel in panels if panel.grid is not None]
     lower = np.min([x.min(axis=0) for x in around], axis=0)
     upper = np.max([x.max(axis=0) for x in around], axis=0)
-    margin = 0.02 * float((upper - lower).max())
+    dots = [_DOT * _spacing(shape) for shape in shapes if isinstance(shape, pyvista.PolyData)]
+    margin = max(0.02 * float((upper - lower).max()), *(dot / 2 for dot in dots), 0.0)
     plane = bool(lower[2] == upper[2])
     lower, upper = lower - margin, upper + margin
     if bounds is not None:
@@ -331,7 +334,7 @@ def _plotter(
             ambient=0.4 if lighting else 0.0,
             diffuse=0.6 if lighting else 1.0,
             # small ones overlap more: gaps of less than a pixel would be a moire
-            point_size=max(1.1 * point_size, min(1.5 * point_size, 6.0), 2.0),
+            point_size=max(_DOT * point_size, min(1.5 * point_size, 6.0), 2.0),
             render_points_as_spheres=True,
         )
         plotter.enable_parallel_projection()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Constitutive laws: in UFL, and at points, compiled by numba."""
 
+from fenicsmpm.materials import tensors
 from fenicsmpm.materials.cam_clay import ModifiedCamClay
 from fenicsmpm.materials.differences import check_tangent
 from fenicsmpm.materials.drucker_prager import DruckerPrager
@@ -33,4 +34,5 @@ __all__ = [
     "stress",
     "stretch_of",
     "tangent",
+    "tensors",
 ]

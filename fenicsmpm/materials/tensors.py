@@ -12,6 +12,29 @@ import math
 from fenicsmpm.lanes import choose, rough_inverse_cube_root
 from fenicsmpm.materials.law import compiled
 
+__all__ = [
+    "SMALL",
+    "compose",
+    "congruence",
+    "cube_root",
+    "deviator",
+    "eigen",
+    "exponential",
+    "exprel",
+    "exprel_small",
+    "inverse",
+    "inverse_cube_root",
+    "log_of_one_plus",
+    "log_of_one_plus_small",
+    "logarithm",
+    "metric_change",
+    "norm_squared",
+    "rows",
+    "small_exponential",
+    "small_logarithm",
+    "volume_change",
+]
+
 SQRT_3 = math.sqrt(3)
 
 # Up to there, logarithms and exponentials are found by series
@@ -64,7 +87,7 @@ def log_of_one_plus(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
-    """ln(1 + x) to round-off for |x| < SMALL."""
+    """ln(1 + x) to round-off for ``|x| < SMALL``."""
     y = x / (2 + x)
     z = y * y
     series = 1 / 9 + z * (1 / 11 + z * (1 / 13 + z / 15))
@@ -79,7 +102,7 @@ def exprel(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def exprel_small(x):  # type: ignore[no-untyped-def]
-    """As ``exprel`` to round-off for |x| < SMALL, without a branch."""
+    """As ``exprel`` to round-off for ``|x| < SMALL``, without a branch."""
     y = 1 + x / 10
     for k in range(9, 1, -1):
         y = 1 + x * y / k
@@ -291,7 +314,7 @@ def logarithm(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def small_logarithm(A):  # type: ignore[no-untyped-def]
-    """ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for |A| < SMALL."""
+    """ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for ``|A| < SMALL``."""
     b = (2 + A[0], A[3], A[4], A[3], 2 + A[1], A[5], A[4], A[5], 2 + A[2])
     c = inverse(b)
     Y = _times(A, (c[0], c[4], c[8], c[1], c[2], c[5]))
@@ -300,7 +323,7 @@ def small_logarithm(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def small_exponential(A):  # type: ignore[no-untyped-def]
-    """exp(A) of a symmetric tensor, to round-off for |A| < 2 SMALL."""
+    """exp(A) of a symmetric tensor, to round-off for ``|A| < 2 SMALL``."""
     return _polynomial(A, _EXPONENTIAL)
 
 

@@ -103,7 +103,7 @@ class MaterialPoints(PointArrays, Described):
         self._coefficients: dict[str, PointField] = {}
         self._initial = {}
         self._order: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
-        self.size_global = self._comm.allreduce(n)
+        self.size_global: int = self._comm.allreduce(n)
         self.next_id = self.size_global
         if "id" in data:
             data["id"] = ids_in_order(self._comm, data["id"])
