@@ -3,7 +3,7 @@
 # # Your own term in explicit steps
 #
 # Explicit steps take any residual of rank 1, not only those that the package knows. Here an elastic
-# bar gets a viscous stress, written in one line of UFL, and swings until it has lost most of its
+# bar gets a viscous stress, written in one line of UFL, and swings until it has lost half of its
 # energy. The same lines run on a lattice with B-splines, where fused kernels compute the internal
 # forces, and on triangles, where compiled forms do.
 #
