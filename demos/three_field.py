@@ -54,7 +54,7 @@ from fenicsmpm.diagnostics import kinetic_energy
 H, PER_SIDE = 0.2, 3  # size of cells in m; points along a side
 DENSITY, GRAVITY = 1000.0, 9.81  # kg/m^2, m/s^2
 E, NU = 4e6, 0.49  # Pa
-DT, END, TIMES = 0.02, 2.0, (0.5, 1.0)  # s; of pictures
+DT, END, TIMES = 0.02, 2.0, (0.24, 0.5)  # s; of pictures
 MU = E / (2 * (1 + NU))
 KAPPA = E * NU / ((1 + NU) * (1 - 2 * NU)) + MU  # of the plane
 
