@@ -34,6 +34,7 @@ import numpy as np
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.compiler import CompileResult
+from numba.core.cpu_options import ParallelOptions
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numba.core.serialize import dumps
@@ -51,6 +52,14 @@ FunctionIdentity._unique_ids = itertools.count(secrets.randbits(60))
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
 # Modules that are known by these versions
 _KNOWN = {*sys.stdlib_module_names, "numba", "llvmlite", "numpy"} - {"__main__"}
+# Parallel are loops by ``prange`` only. Numba would also compile a function each for sums and
+# maxima of short arrays, and start threads for them.
+_PRANGE = ParallelOptions(
+    {
+        "comprehension": False, "reduction": False, "inplace_binop": False, "setitem": False,
+        "numpy": False, "stencil": False, "fusion": False, "prange": True,
+    }
+)  # fmt: skip
 # Variants of a function that are kept: dimensions, bases, laws, and laws that have been edited
 _MOST = 100
 _DOES_NOT_COMPILE = "does not compile"
@@ -72,6 +81,8 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return functools.partial(njit, **options)
+    if options.get("parallel"):
+        options = {**options, "parallel": _PRANGE}
     dispatcher = numba.njit(**options)(function)
     dispatcher._cache = _Cache(dispatcher)
     return dispatcher

@@ -25,10 +25,14 @@ def blocks(page):
 
 
 def pages_with_code():
-    return [page for page in PAGES if any(language == "python" for language, _, _ in blocks(page))]
+    """Of which the first, README.md, is run again with the newest dolfinx."""
+    pages = [page for page in PAGES if any(language == "python" for language, _, _ in blocks(page))]
+    for k, page in enumerate(pages):
+        marks = [pytest.mark.once] if k > 0 else []
+        yield pytest.param(page, id=str(page.relative_to(ROOT)), marks=marks)
 
 
-@pytest.mark.parametrize("page", pages_with_code(), ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", pages_with_code())
 def test_code_of_a_page(page, tmp_path, monkeypatch):
     """The Python blocks of a page are one script; a text block after one is what it prints."""
     if "import gmsh" in page.read_text():
