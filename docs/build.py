@@ -61,7 +61,10 @@ def install() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = extras["optional-dependencies"]["docs"]
     print("installing", *wanted, flush=True)
-    subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", *wanted], check=True)
+    pip = [sys.executable, "-m", "pip", "install"]
+    # quiet, since pip complains that it does not see Debian's VTK; if it fails, it may say why
+    if subprocess.run([*pip, "-qqq", *wanted]).returncode != 0:
+        subprocess.run([*pip, *wanted], check=True)
 
 
 def version_of(script: Path) -> str:
