@@ -191,7 +191,7 @@ def gallery(scripts: list[Path]) -> None:
                 shutil.copy2(picture, folder)
             shown = f":img-top: {picture.name}\n" if picture else ""
             cards.append(CARD.format(title=title, name=name, picture=shown))
-        page += [f"## {section}", "::::{grid} 2 3 3 4", ":gutter: 3", *cards, "::::"]
+        page += [f"## {section}", "::::{grid} 2 2 3 3", ":gutter: 3", *cards, "::::"]
     page += ["```{toctree}\n:hidden:\n", *named, "```"]
     (folder / "index.md").write_text("\n\n".join(page[:2]) + "\n\n" + "\n".join(page[2:]) + "\n")
 
