@@ -37,7 +37,8 @@ Drawable: TypeAlias = (
 _POINTS = (MaterialPoints, Sequence)
 _COLOURS = "viridis"
 _ONE_COLOUR, _LINES = "tab:blue", "silver"
-_DOT = 1.1  # diameter of a point by the distance of its neighbours
+# Diameter of a point by the distance of its neighbours, with colours and without
+_DOT, _SMALL_DOT = 1.1, 0.5
 _PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
 _INCHES = 3.75  # the same on paper
 
@@ -320,6 +321,7 @@ def _plotter(
     """A plotter with the coloured shape in it, in parallel projection."""
     import pyvista
 
+    dot = _SMALL_DOT if values is None else _DOT
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=window)
     try:
         plotter.set_background("white")
@@ -334,7 +336,7 @@ def _plotter(
             ambient=0.4 if lighting else 0.0,
             diffuse=0.6 if lighting else 1.0,
             # small ones overlap more: gaps of less than a pixel would be a moire
-            point_size=max(_DOT * point_size, min(1.5 * point_size, 6.0), 2.0),
+            point_size=max(dot * point_size, min(1.5 * point_size, 6.0), 2.0),
             render_points_as_spheres=True,
         )
         plotter.enable_parallel_projection()
