@@ -3,9 +3,10 @@
 # # Explicit Cook's membrane and F-bar
 #
 # Most MPM codes take explicit steps, where no pressure unknown can keep the volume. Nearly
-# incompressible bodies then lock: they are too stiff, and their mean stress is a checkerboard. This
-# tour cures that by averages of the volume change, the F-bar method. Local damping brings the panel
-# of [Cook's membrane](cooks_membrane.py) to rest, and its tip is compared with finite elements.
+# incompressible bodies then lock: their mean stress is a checkerboard, and their stiffness is
+# wrong. This tour cures that by averages of the volume change, the F-bar method. Local damping
+# brings the panel of [Cook's membrane](cooks_membrane.py) to rest, and its tip is compared with
+# finite elements.
 #
 # The problem is section 4.1 of Y. Zhao, C. Jiang and J. Choo, *Circumventing volumetric locking in
 # explicit material point methods: A simple, efficient, and general approach* (F-bar).
