@@ -78,9 +78,6 @@ def notebook_of(script: Path):
     import jupytext
 
     text = script.read_text().removeprefix("# SPDX-License-Identifier: MIT\n").lstrip("\n")
-    if text.startswith('"""'):  # TEMPORARY
-        doc, _, code = text[3:].partition('"""')
-        text = "# # " + doc.replace("\n", "\n# ") + "\n\n" + code
     notebook = jupytext.reads(text, fmt="py:light")
     notebook.metadata["kernelspec"] = {
         "name": "python3", "display_name": "Python 3", "language": "python",
