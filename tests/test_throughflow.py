@@ -117,7 +117,7 @@ def test_what_cannot_be():
             Source(fluid, inlet, density, (1.0, 0.0), 0.1)
     with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
         Source(fluid, inlet, 1.0, (1.0, 0.0, 0.0), 0.1)
-    for velocity in ((np.nan, 0.0), lambda x: np.inf * x[:2]):
+    for velocity in ((np.nan, 0.0), lambda x: np.full_like(x[:2], np.inf)):
         with pytest.raises(ValueError, match="velocities of a source must be finite"):
             Source(fluid, inlet, 1.0, velocity, 0.1)
     with pytest.raises(ValueError, match="field 'normal'"):
