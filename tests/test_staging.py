@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Bodies and points that come and go between the steps of all loops."""
 
+from types import SimpleNamespace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -11,8 +13,8 @@ from dolfinx import fem, mesh
 from fenicsmpm import ExplicitMPM, ImplicitMPM, MaterialPoints, io, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.forms import evaluate
-from fenicsmpm.materials import Hencky, NeoHookean, energy, stress
-from fenicsmpm.simulation import add_points, remove_points
+from fenicsmpm.materials import Hencky, MohrCoulomb, NeoHookean, energy, stress
+from fenicsmpm.simulation import Rebalanced, add_points, remove_points
 
 pytestmark = pytest.mark.ranks
 
@@ -25,9 +27,14 @@ AT_REST = fm.k0_state(HEIGHT, DENSITY, K0)
 
 def ground_and_bank(law):
     """Ground at rest under its own weight, and a bank of another law on it."""
-    domain = mesh.create_rectangle(
-        COMM, [(0, 0), (WIDTH, 12)], [2, 12], mesh.CellType.quadrilateral
-    )
+    return on_box(tall_box(), law)
+
+
+def tall_box():
+    return mesh.create_rectangle(COMM, [(0, 0), (WIDTH, 12)], [2, 12], mesh.CellType.quadrilateral)
+
+
+def on_box(domain, law):
     ground = points.fill(domain, 2, inside=lambda x: x[1] < HEIGHT)
     bank = points.fill(domain, 2, inside=lambda x: (x[1] > HEIGHT) & (x[1] < 10))
     for body in (ground, bank):
@@ -42,11 +49,11 @@ def supported(z, part):
     return z
 
 
-def explicit(bodies, fused=True, **options):
+def explicit(bodies, fused=True, law=SOIL, **options):
     z = supported(fm.Unknown(bodies[0].mesh, "v"), "v")
     w = z.test.v
-    R = sum((fm.internal_force(w, body, SOIL) for body in bodies[1:]),
-            fm.internal_force(w, bodies[0], SOIL))  # fmt: skip
+    R = sum((fm.internal_force(w, body, law) for body in bodies[1:]),
+            fm.internal_force(w, bodies[0], law))  # fmt: skip
     if not fused:
         R = fem.Constant(bodies[0].mesh, 1.0) * R
     for body in bodies:
@@ -54,7 +61,7 @@ def explicit(bodies, fused=True, **options):
     return ExplicitMPM(R, z, bodies, **options)
 
 
-def implicit(bodies, scheme="QuasiStatic", kind="points", dt=0.1):
+def implicit(bodies, scheme="QuasiStatic", kind="points", dt=0.1, law=SOIL):
     z = fm.Unknown(bodies[0].mesh, *(["u", "p"] if kind == "mixed" else ["u"]))
     supported(z, "u")
     time = getattr(fm, scheme)(z, dt=dt)
@@ -67,7 +74,7 @@ def implicit(bodies, scheme="QuasiStatic", kind="points", dt=0.1):
         if kind == "energy":
             R += fm.EnergyMomentum(SOIL, body, z).power()
         else:
-            P = fm.Response(SOIL, body, fm.Kinematics(z.u, body).F).P
+            P = fm.Response(law, body, fm.Kinematics(z.u, body).F).P
             R += fm.stress_power(P, z.test.u, body)
         R -= ufl.inner(f, z.test.u) * body.dx
     return ImplicitMPM(R, z, time, bodies)
@@ -178,6 +185,51 @@ def test_heave_of_an_excavation():
     modulus = SOIL.kappa + 4 / 3 * SOIL.mu
     rise = COMM.allreduce(ground["u"][:, 1].max(initial=0), MPI.MAX)
     assert rise == pytest.approx(DENSITY * G * 4 * 3.75 / modulus, rel=5e-3)
+
+
+SAND = MohrCoulomb(E=50e6, nu=0.2, cohesion=1e4, friction=30.0)
+
+
+def embankment(domain, scheme):
+    """Sand at rest and a bank of it, with averages of J in explicit steps."""
+    ground, bank = on_box(domain, SAND)
+    if scheme != "explicit":
+        return implicit([ground, bank], scheme, law=SAND)
+    return explicit([ground, bank], law=SAND, dt=1e-3)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("scheme", ["explicit", "QuasiStatic"])
+def test_stages_on_cells_that_are_shared_out_anew(scheme):
+    """Points wait on the mesh of before, and are put on the new one."""
+    run, alone = (
+        kind(lambda domain: embankment(domain, scheme), tall_box())
+        for kind in (Rebalanced, lambda build, domain: SimpleNamespace(sim=build(domain)))
+    )
+    found = []
+    for stages in (run, alone):
+        rebalance = getattr(stages, "rebalance", lambda: None)
+        waiting = remove_points(stages.sim, stages.sim.bodies[1]).points
+        stages.sim.step()
+        rebalance()
+        sim = stages.sim
+        ground, bank = sim.bodies
+        assert bank.size_global == 0 and np.abs(ground["v"]).max(initial=0) < 1e-9
+        came = add_points(sim, bank, points.from_mesh(ground.mesh, waiting))
+        assert came.mass == pytest.approx(2 * WIDTH * DENSITY)
+        for _ in range(3):
+            sim.step()
+        rebalance()
+        sim = stages.sim
+        gone = remove_points(sim, sim.bodies[1], lambda x: x[1] > 9)
+        sim.step()
+        rebalance()
+        body = stages.sim.bodies[0]
+        order = np.argsort(np.concatenate(COMM.allgather(body.id)))
+        values = [np.concatenate(COMM.allgather(body[n]))[order] for n in ("F", "v", "eps_p")]
+        found.append((gone.mass, *values))
+    for one, other in zip(*found, strict=True):
+        assert other == pytest.approx(one, rel=1e-9, abs=1e-9 * np.abs(one).max())
 
 
 @pytest.mark.mpi

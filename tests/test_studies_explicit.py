@@ -13,6 +13,7 @@ from fenicsmpm.simulation import ExplicitMPM
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
 
+import bearing_capacity
 import explicit
 import quasi_static
 
@@ -69,3 +70,24 @@ def test_footing_by_load_steps():
     assert np.ptp(np.array(load)[np.array(way) > 0.003]) < 0.01 * load[-1]
     _, locked, _ = quasi_static.footing(cells, "u", size=3)
     assert locked[-1] > 1.5 * load[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "factor,friction,rough",
+    [("N_c", 20.0, False), ("N_c", 30.0, False), ("N_q", 30.0, False), ("N_q", 30.0, True)],
+)
+def test_bearing_capacity(factor, friction, rough):
+    """Of soil that dilates, with four cells along the footing: Prandtl, Reissner."""
+    exact = bearing_capacity.factors(friction)[factor]
+    way, load = bearing_capacity.bearing(factor, friction, "cubic", 4, (5.0, 2.0), rough)
+    assert load[-1] == pytest.approx(exact, rel=0.05)
+    assert np.interp(0.8 * way[-1], way, load) > 0.98 * load[-1]  # a plateau
+
+
+def test_factors_of_bearing_capacity():
+    """As in tables of textbooks."""
+    table = {0: (5.14, 1.0), 10: (8.34, 2.47), 20: (14.83, 6.40), 30: (30.14, 18.40)}
+    for friction, values in table.items():
+        found = bearing_capacity.factors(friction)
+        assert [found["N_c"], found["N_q"]] == pytest.approx(values, abs=0.006)

@@ -112,6 +112,14 @@ def test_what_cannot_be():
             Source(fluid, inlet, 1.0, (1.0, 0.0), spacing)
     with pytest.raises(ValueError, match="flows out of a source with 2 m/s"):
         Source(fluid, inlet, 1.0, (-2.0, 0.0), 0.1)
+    for density in (0.0, np.nan):
+        with pytest.raises(ValueError, match="density of what flows in must be positive"):
+            Source(fluid, inlet, density, (1.0, 0.0), 0.1)
+    with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
+        Source(fluid, inlet, 1.0, (1.0, 0.0, 0.0), 0.1)
+    for velocity in ((np.nan, 0.0), lambda x: np.full_like(x[:2], np.inf)):
+        with pytest.raises(ValueError, match="velocities of a source must be finite"):
+            Source(fluid, inlet, 1.0, velocity, 0.1)
     with pytest.raises(ValueError, match="field 'normal'"):
         Source(fluid, points.at(domain, (0.1, 0.5)), 1.0, (1.0, 0.0), 0.1)
     z = fm.Unknown(domain, "v")

@@ -19,6 +19,9 @@ class FBar:
     equation 18, an average of the true J only, less smooth. A small r keeps the smoothness, and
     J_bar close to J.
 
+    Averages are those of J / J_0, with J_0 when they began: a stress to begin with
+    (``initial_stress``) is not averaged, but its changes, and a body in equilibrium stays at rest.
+
     Before each step, ``F <- (J* / J)^(1/d) F`` with ``J* = J + min(s e, 1) (J_bar - J)`` and the
     norm e of the step's strain increment. It holds together the true J of neighbours where no
     stress does, in fluids and plastic flow; what is at rest does not creep by it.

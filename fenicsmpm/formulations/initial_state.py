@@ -85,7 +85,7 @@ def _motion(
         lower, upper = points.bounds()
         step = 1e-5 * float(np.max(upper - lower)) or 1.0  # a single point
         return {"v": v, "grad_v": _gradient(velocity, points, step)}
-    v = np.zeros(dim) if velocity is None else np.asarray(velocity, dtype=np.float64)
+    v = np.zeros(dim) if velocity is None else finite(velocity, "velocities")
     if v.shape != (dim,):
         raise ValueError(
             f"a velocity of all points needs the shape ({dim},), not {v.shape}: give a function of "

@@ -71,7 +71,8 @@ def initial_stress(
     J = np.linalg.det(F)
     new = {"F": F, "J": J, "V_0": points.weight / J, **state}
     if isinstance(material, Law):
-        known = {"sigma": stress(material, F, None, _row(material, state, len(F))), "J_bar": J}
+        known = {"sigma": stress(material, F, None, _row(material, state, len(F)))}
+        known |= {"J_bar": J, "J_0": J}
         new |= {name: known[name] for name in known if name in points}
         for name, (shape, value) in material.state.items():
             if name not in points:

@@ -31,14 +31,16 @@ class AveragedJ(PointField):
     """Field "J_bar" of a body [-], which an explicit step renews by averages of J.
 
     Args:
-        points: the body, with the field "J"; "J_bar" is added if missing, and is then J.
+        points: the body, with the field "J"; "J_bar", and "J_0" from which it starts, are added if
+            missing, and are then J.
         averages: how J is averaged; None for J itself.
     """
 
     def __init__(self, points: MaterialPoints, averages: FBar | None) -> None:
-        """Add the field if it is missing."""
-        if "J_bar" not in points:
-            points.add_field("J_bar", (), points["J"])
+        """Add the fields that are missing."""
+        for name in ("J_bar", "J_0"):
+            if name not in points:
+                points.add_field(name, (), points["J"])
         super().__init__(points, "J_bar")
         self.averages = averages
 
@@ -193,13 +195,15 @@ def drawn_J(points: MaterialPoints, f: Any, averages: FBar | None) -> Any:
 def averaged_J(points: MaterialPoints, f: Any, averages: FBar) -> Any:
     """What is averaged over the grid, per volume before the step [-] (F-bar, equations 19 to 21).
 
+    It is relative to "J_0", and so are averages: see ``FBar``.
+
     Args:
-        points: the body, with the fields "F" and "J_bar".
+        points: the body, with the fields "F", "J_bar" and "J_0".
         f: gradient of the step's motion, I + dt grad v, d x d, UFL.
         averages: how J is averaged.
     """
     mixed = (1 - averages.r) * points.field("J_bar") + averages.r * drawn_J(points, f, averages)
-    return mixed * ufl.det(f)
+    return mixed / points.field("J_0") * ufl.det(f)
 
 
 def moved_F(points: MaterialPoints, f: Any, averages: FBar | None, is_fluid: bool) -> Any:

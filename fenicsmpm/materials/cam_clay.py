@@ -16,6 +16,7 @@ from fenicsmpm.materials.principal_stress import (
     set_gradient,
     set_plastic_deformation,
     set_tangent,
+    work_derivatives,
 )
 from fenicsmpm.materials.tensors import volume_change
 
@@ -183,13 +184,7 @@ def _linearize(strain, state, parameters):  # type: ignore[no-untyped-def]
         q0 + s[2] * r0 + other, q1 + s[2] * r1 + other, q2 + s[2] * r2 + same,
     )  # fmt: skip
     tau = share * s[0] - p, share * s[1] - p, share * s[2] - p
-    # energy grows by tau : d strain - tau : d flow, dissipation by tau : d flow + d tau : flow
-    w = (
-        tau[0] + D[0] * flow[0] + D[3] * flow[1] + D[6] * flow[2],
-        tau[1] + D[1] * flow[0] + D[4] * flow[1] + D[7] * flow[2],
-        tau[2] + D[2] * flow[0] + D[5] * flow[1] + D[8] * flow[2],
-    )
-    return tau, D, w
+    return tau, D, work_derivatives(tau, D, flow)
 
 
 @compiled

@@ -41,6 +41,8 @@ from fenicsmpm.materials.principal_stress import (
     set_gradient,
     set_plastic_deformation,
     set_tangent,
+    transposed_times,
+    work_derivatives,
 )
 from fenicsmpm.materials.tensors import volume_change
 
@@ -84,16 +86,6 @@ def _elastic_strain(tau, mu, kappa):  # type: ignore[no-untyped-def]
         third + r * (tau[0] - mean),
         third + r * (tau[1] - mean),
         third + r * (tau[2] - mean),
-    )
-
-
-@compiled
-def _times(A, b):  # type: ignore[no-untyped-def]
-    """A^T b for a tuple of 9 by rows."""
-    return (
-        A[0] * b[0] + A[3] * b[1] + A[6] * b[2],
-        A[1] * b[0] + A[4] * b[1] + A[7] * b[2],
-        A[2] * b[0] + A[5] * b[1] + A[8] * b[2],
     )
 
 
@@ -187,7 +179,7 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
         if flows and parameters[2] > 0 and increment > 0:
             # d eps_p = d|flow| / (1 - slope), flow = strain - C^-1 tau
             f = _elastic_strain(flow, mu, kappa)
-            p = _times(D, f)
+            p = transposed_times(D, f)
             r = 2 / 3 / increment / (1 - slope)
             g = r * (flow[0] - p[0]), r * (flow[1] - p[1]), r * (flow[2] - p[2])
             D = (
@@ -195,9 +187,7 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
                 D[3] + softening[1] * g[0], D[4] + softening[1] * g[1], D[5] + softening[1] * g[2],
                 D[6] + softening[2] * g[0], D[7] + softening[2] * g[1], D[8] + softening[2] * g[2],
             )  # fmt: skip
-        # energy grows by tau : d strain - tau : d flow, dissipation by tau : d flow + d tau : flow
-        w = _times(D, flow)
-        w = tau[0] + w[0], tau[1] + w[1], tau[2] + w[2]
+        w = work_derivatives(tau, D, flow)
         if 0 < closed and closed == -volume:  # what closes does not feel the change of volume
             x, y, z = (D[0] + D[1] + D[2]) / 3, (D[3] + D[4] + D[5]) / 3, (D[6] + D[7] + D[8]) / 3
             D = (

@@ -81,6 +81,31 @@ def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def
 
 
 @compiled
+def transposed_times(A, b):  # type: ignore[no-untyped-def]
+    """A^T b for a tuple of 9 by rows."""
+    return (
+        A[0] * b[0] + A[3] * b[1] + A[6] * b[2],
+        A[1] * b[0] + A[4] * b[1] + A[7] * b[2],
+        A[2] * b[0] + A[5] * b[1] + A[8] * b[2],
+    )
+
+
+@compiled
+def work_derivatives(tau, D, flow):  # type: ignore[no-untyped-def]
+    """Derivatives of energy and dissipation with respect to principal trial strains [J/m^3].
+
+    Energy grows by tau : d strain - tau : d flow, dissipation by tau : d flow + d tau : flow.
+
+    Args:
+        tau: principal Kirchhoff stresses [Pa].
+        D: d tau_a / d eps_b, a tuple of 9 by rows [Pa].
+        flow: principal plastic strains of the step.
+    """
+    w = transposed_times(D, flow)
+    return tau[0] + w[0], tau[1] + w[1], tau[2] + w[2]
+
+
+@compiled
 def quotients(strain, tau, D):  # type: ignore[no-untyped-def]
     """(tau_a - tau_b) / (eps_a - eps_b) for ab = 12, 13, 23, or its limit for equal strains [Pa].
 

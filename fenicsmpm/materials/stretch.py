@@ -20,7 +20,9 @@ for _k, (_i, _j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
 _ITERATIONS = 60
 _HALVINGS = 10
 _LARGEST = 0.2  # change of F in an iteration, in which strains are not to run away [-]
-_DIFFERENCE = 1e-6  # half the length of central differences: nine digits of the tangent
+_DIFFERENCE = 1e-6  # largest half of central differences: nine digits of the tangent
+_NEAR = 1e-2  # half of differences by stress / modulus, so that they stay off the yield surface
+_SHORTEST = 1e-10  # half of differences, of which few digits are left
 _AT_ONCE = 20_000  # points; their tangents are in memory
 _CLOSE = 1e-9  # of stress, or of small strains times the modulus, where a stress is reached
 _PLASTIC = 1e-10  # work by modulus over squared stress, up to which it is round-off
@@ -31,9 +33,10 @@ def stretch_of(
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Symmetric deformation gradients at which a law has given Cauchy stresses.
 
-    They are found to round-off by Newton's method, with differences of the law as its tangent, from
-    an undeformed point. Rotations before a deformation change no stress of an isotropic law, so of
-    all F with a stress this is the one without: F = U. Fluids have F = J^(1/3) I.
+    They are found to round-off by Newton's method, with differences of the law as its tangent. It
+    starts from a small isotropic deformation, in which sand resists. Rotations before a deformation
+    change no stress of an isotropic law, so of all F with a stress this is the one without: F = U.
+    Fluids have F = J^(1/3) I.
 
     Args:
         law: constitutive law, at rest: velocity gradients are zero.
@@ -61,14 +64,18 @@ def stretch_of(
 
 def _solve(law: Law, sigma: Array, state: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     changes = _OF_VOLUME if law.is_fluid else _ALL
-    close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * law.wave_speed_modulus)  # as F is rounded
-    F = np.tile(np.eye(3), (len(sigma), 1, 1))
+    modulus = law.wave_speed_modulus
+    close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * modulus)  # as F is rounded
+    # no more than what the mean stress needs, as the modulus is above the bulk modulus
+    mean = np.trace(sigma, axis1=1, axis2=2) / (9 * modulus)
+    F = (1 + np.clip(mean, -_LARGEST, _LARGEST))[:, None, None] * np.eye(3)
+    half = np.clip(_NEAR * _largest(sigma) / modulus, _SHORTEST, _DIFFERENCE)
     excess, size = _excess(law, F, sigma, state)
     active = np.flatnonzero(size > 0)  # points at which the excess still falls
     for _ in range(_ITERATIONS):
         if not len(active):
             break
-        step = _newton_step(law, F[active], state[active], excess[active], changes)
+        step = _newton_step(law, F[active], state[active], excess[active], changes, half[active])
         better = np.zeros(len(active), dtype=np.bool_)
         for _ in range(_HALVINGS):
             trying = np.flatnonzero(~better)
@@ -98,12 +105,24 @@ def _excess(law: Law, F: Array, sigma: Array, state: Array) -> tuple[Array, Arra
     return excess, size
 
 
-def _newton_step(law: Law, F: Array, state: Array, excess: Array, changes: Array) -> Array:
-    """Change of F ``(n, 3, 3)`` by which the excess of stress would vanish, not too long."""
+def _newton_step(
+    law: Law, F: Array, state: Array, excess: Array, changes: Array, half: Array
+) -> Array:
+    """Change of F ``(n, 3, 3)`` by which the excess of stress would vanish, not too long.
+
+    Args:
+        law: constitutive law.
+        F: ``(n, 3, 3)`` where it begins.
+        state: ``(n, law.n_state)``.
+        excess: ``(n, 3, 3)`` of stress [Pa].
+        changes: of F, symmetric.
+        half: ``(n,)`` lengths of differences.
+    """
     rows = np.empty((len(F), len(changes), len(changes)))
-    for k, change in enumerate(_DIFFERENCE * changes):
-        ahead, behind = (stress(law, F + c, None, state.copy()) for c in (change, -change))
-        rows[:, :, k] = np.einsum("nij,mij->nm", ahead - behind, changes) / (2 * _DIFFERENCE)
+    for k, change in enumerate(changes):
+        by = half[:, None, None] * change
+        ahead, behind = (stress(law, F + c, None, state.copy()) for c in (by, -by))
+        rows[:, :, k] = np.einsum("nij,mij->nm", ahead - behind, changes) / (2 * half[:, None])
     rows[~np.isfinite(rows)] = 0.0
     # where a law does not resist, the matrix is singular: a little of the modulus is not felt
     rows += 1e-9 * law.wave_speed_modulus * np.eye(len(changes))

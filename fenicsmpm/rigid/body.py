@@ -128,9 +128,8 @@ class RigidBody:
             R, axes = matrix(self._q), inertia.axes
             w = self._rotor(angular_velocity, "angular velocity")
             self._L = R @ axes @ (inertia.moments * (axes.T @ R.T @ w))
-        self._touched: Array = np.zeros(
-            2
-        )  # mass [kg] and polar moment [kg m^2] of points within reach
+        # mass [kg] and polar moment [kg m^2] of the points within reach
+        self._touched: Array = np.zeros(2)
         self._pushed: Array = np.zeros(TOTALS)
         self._held: Array = np.zeros(TOTALS)
         self.settle()

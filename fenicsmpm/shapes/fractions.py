@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which part of boxes is in a solid."""
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -38,7 +37,7 @@ def fractions(
     return result
 
 
-@numba.njit
+@njit
 def _behind_plane(normal, offset, size):  # type: ignore[no-untyped-def]
     """Part of a box where normal . (x - centre) <= offset.
 
@@ -78,7 +77,7 @@ def _behind_plane(normal, offset, size):  # type: ignore[no-untyped-def]
     return 1.0 - part if turned else part
 
 
-@numba.njit
+@njit
 def _beside_plane(tree, centre, size, normal, offset, x):  # type: ignore[no-untyped-def]
     """Part of a box in the solid less that behind the plane, at the points of a fine lattice."""
     d = len(size)

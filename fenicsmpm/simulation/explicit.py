@@ -19,6 +19,8 @@ from fenicsmpm import _compat
 from fenicsmpm._display import Described, Facts
 from fenicsmpm.basis import functions_of
 from fenicsmpm.basis.lattice import lattice_of
+from fenicsmpm.basis.lattice_stencil import KINDS
+from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.formulations.unknown import Condition, Unknown
 from fenicsmpm.materials import Law
@@ -251,10 +253,12 @@ class ExplicitMPM(Described):
         if self.exits.on_exit != "error":  # kernels keep all points until the end of a block
             return False
         try:
-            lattice_of(mesh)
+            lattice = lattice_of(mesh)
         except ValueError:  # with holes
             return False
-        return True
+        # kernels take all nodes that a point can see; on narrower lattices it sees fewer
+        width = WIDTH[KINDS[functions_of(self.bodies[0])]]
+        return bool(np.all(lattice.shape + 1 >= width))
 
     # --- steps -------------------------------------------------------------------------------
 

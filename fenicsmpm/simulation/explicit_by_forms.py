@@ -108,7 +108,7 @@ class BodyByForms:
         """Other fields after the step, by the law as it is now; the points stay as they are."""
         new = self._strain.evaluate()
         if self._averages is not None:
-            new["J_bar"] = self._average(new["J_bar"])
+            new["J_bar"] = self._average(new["J_bar"]) * self.points["J_0"]
         if law is not None:
             F = new["F"]
             if self._averages is not None:

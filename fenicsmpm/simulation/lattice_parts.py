@@ -210,8 +210,10 @@ class Part:
         n = len(points)
         # the largest first, since blocks are made by way of copies
         F, F33 = _plane_parts(points["F"], d, law.is_fluid)
-        self._kernels = self._kernels_for(len(F33) > 0)
-        F, F33 = in_blocks(F, order), in_blocks(F33, order if len(F33) else order[:0])
+        J_0 = np.empty(0) if self._fbar is None else points["J_0"]
+        J_0 = J_0[:0] if np.all(J_0 == 1) else J_0
+        self._kernels = self._kernels_for(len(F33) > 0, len(J_0) > 0)
+        F, F33, J_0 = (in_blocks(a, order if len(a) else order[:0]) for a in (F, F33, J_0))
         x = in_blocks(points.x, order)
         state = [points[k].reshape(n, math.prod(shape)) for k, (shape, _) in law.state.items()]
         self._body = Body(
@@ -221,6 +223,7 @@ class Part:
             F=F,
             F33=F33,
             J_bar=in_blocks(points["J" if self._fbar is None else "J_bar"], order),
+            J_0=J_0,
             mass=in_blocks(points["mass"], order, copied=False),
             V_0=in_blocks(points["V_0"], order, copied=False),
             state=in_blocks(np.hstack([np.empty((n, 0)), *state]), order),
@@ -232,12 +235,12 @@ class Part:
         self._reference: Array | None = None  # initial positions, if those at the beginning go
         self._version = points.version
 
-    def _kernels_for(self, has_F33: bool) -> Kernels:
+    def _kernels_for(self, has_F33: bool, has_J_0: bool) -> Kernels:
         """The kernels, which are compiled at first use."""
         law = self._law
         return transfers(
             self._dim, self._kind, law.update, law.update_eight, law.n_state, law.needs_rate,
-            law.is_fluid, has_F33,
+            law.is_fluid, has_F33, has_J_0,
         )  # fmt: skip
 
     def scatter(self) -> None:

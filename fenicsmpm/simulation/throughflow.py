@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from fenicsmpm.cells.weight_correction import filled_fractions
 from fenicsmpm.formulations.initial_state import set_initial_state
+from fenicsmpm.materials.law import finite, positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.material_points import Selection
@@ -48,8 +49,9 @@ class Source(Observer):
         count: of points that have come in.
 
     Raises:
-        ValueError: on all ranks, for an inlet without normals or points, a velocity that points out
-            of the mesh somewhere, or a spacing that is not positive and finite. In the loop, if
+        ValueError: on all ranks, for an inlet without normals or points; a velocity that is not
+            finite, has another shape, or points out of the mesh somewhere; a density or spacing
+            that is not positive and finite. In the loop, if
             points would come into cells that are full already.
     """
 
@@ -70,11 +72,21 @@ class Source(Observer):
                 "points.on_curve and points.on_facets make them"
             )
         self._body, self._inlet, self._spacing = body, inlet, float(spacing)
-        self._density, self._velocity = density, velocity
+        self._density = positive(density, "density", "density of what flows in", "kg/m^d")
+        dim = inlet.mesh.geometry.dim
+        if not callable(velocity):
+            velocity = finite(velocity, "velocities of a source")
+            if velocity.shape != (dim,):
+                raise ValueError(
+                    f"a velocity of all points needs the shape ({dim},), not {velocity.shape}"
+                )
+        self._velocity = velocity
         error, v = self._velocities(inlet.x)
         raise_together(inlet.mesh.comm, error)
         self._speed = -np.einsum("pk,pk->p", v, inlet["normal"])
-        if len(v) and self._speed.min() < 0:
+        if not np.isfinite(self._speed).all():
+            error = ValueError("velocities of a source must be finite")
+        elif len(v) and self._speed.min() < 0:
             worst = int(np.argmin(self._speed))
             error = ValueError(
                 f"matter flows out of a source with {-self._speed[worst]:g} m/s at "
@@ -86,7 +98,7 @@ class Source(Observer):
     def _velocities(self, x: npt.NDArray[np.float64]) -> tuple[Exception | None, Any]:
         if callable(self._velocity):
             return vectors_at(self._velocity, x)
-        return None, np.tile(np.asarray(self._velocity, dtype=np.float64), (len(x), 1))
+        return None, np.tile(np.asarray(self._velocity), (len(x), 1))
 
     def begin(self, sim: Any) -> None:
         """Note the time at which the step begins."""

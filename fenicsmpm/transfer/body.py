@@ -18,6 +18,7 @@ class Body(NamedTuple):
         F: deformation gradients (d, d).
         F33: stretches out of the plane, of no points if they are 1, and in space.
         J_bar: averaged J.
+        J_0: J when the averages began, of no points if it is 1.
         mass: [kg].
         V_0: initial volumes.
         state: what the material remembers (n_state,).
@@ -31,6 +32,7 @@ class Body(NamedTuple):
     F: Any
     F33: Any
     J_bar: Any
+    J_0: Any
     mass: Any
     V_0: Any
     state: Any

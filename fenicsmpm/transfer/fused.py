@@ -70,6 +70,7 @@ def transfers(
     rates: bool,
     is_fluid: bool,
     has_F33: bool,
+    has_J_0: bool,
 ) -> Kernels:
     """Compile the transfers.
 
@@ -82,12 +83,13 @@ def transfers(
         rates: the material needs the velocity gradient.
         is_fluid: of the deformation, only J is kept.
         has_F33: in the plane, points have stretches out of it, which stay.
+        has_J_0: averages of J began where it was not 1.
     """
     width, fill = WIDTH[kind], stencils(dim, kind, in_window=True)
     fill_values = stencils(dim, kind, in_window=True, with_slopes=False)
     copies, count = windows(dim, width), window(dim, width).places
     pack, add = fused_to_nodes.to_nodes(dim, width)
-    of_point = fused_to_points.to_points(dim, width, rates, has_F33)
+    of_point = fused_to_points.to_points(dim, width, rates, has_F33, has_J_0)
     interpolate, move_block, deform_block = of_point.interpolate, of_point.move, of_point.deform
     means, volume_ratio, root = of_point.means, of_point.volume_ratio, of_point.root
     set_stress = stresses(update, update_eight, n_state, rates)
@@ -104,6 +106,8 @@ def transfers(
             prefetch(body.F, block * dim * dim + j)
         if has_F33:
             prefetch(body.F33, block)
+        if has_J_0:
+            prefetch(body.J_0, block)
 
     @inline
     def no_reach(reach):
@@ -254,7 +258,7 @@ def transfers(
                 scale = 1.0 + zeros()
                 if average:
                     fill_values(body.x, block, nodes, half, units.lower[unit], corner, base, w, d)
-                    J_bar = means(base, w, means_of, lines)
+                    J_bar = means(body, block, base, w, means_of, lines)
                     scale = root(J_bar / J)  # eq. 18
                 else:
                     J_bar = J

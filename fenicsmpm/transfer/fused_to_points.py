@@ -55,7 +55,7 @@ class ToPoints(NamedTuple):
 
 
 @functools.cache
-def to_points(dim: int, width: int, rates: bool, has_F33: bool) -> ToPoints:
+def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -> ToPoints:
     """Compile what blocks of points take from nodes.
 
     Args:
@@ -63,6 +63,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool) -> ToPoints:
         width: nodes in a direction that a point has.
         rates: the material needs the velocity gradient.
         has_F33: in the plane, points have stretches out of it.
+        has_J_0: averages of J began where it was not 1.
     """
     shape = window(dim, width)
     far, near, last = shape.far, shape.near, (dim - 1) * width
@@ -214,6 +215,8 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool) -> ToPoints:
         if average:
             # algorithm 1, step 3, with r = 0; eq. 19 with r = 1
             mixed = (1.0 - r) * load(body.J_bar, block) + r * J_old
+            if has_J_0:
+                mixed /= load(body.J_0, block)
             store(shares, 0, load(body.V_0, block) * J_before * dJ * mixed)
             third = load(w, last + 2) if width > 2 else zeros()
             fourth = load(w, last + 3) if width > 3 else zeros()
@@ -231,7 +234,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool) -> ToPoints:
         return between(dJ * J_old, _TINY, _HUGE)
 
     @inline
-    def means(base, w, averages, lines):
+    def means(body, block, base, w, averages, lines):
         """Averaged J at the points of a block."""
         for i in range(LANES):
             total, start = zero_line(), base[i]
@@ -248,7 +251,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool) -> ToPoints:
         total, columns = zeros(), load_columns(lines, 0)
         for c in range(width):
             total += columns[c] * load(w, last + c)
-        return total
+        return total * load(body.J_0, block) if has_J_0 else total
 
     return ToPoints(interpolate, move, deform, means, volume_ratio, root)
 
