@@ -170,7 +170,7 @@ def test_bad_input():
     formulations.set_initial_state(body, 1.0)
     z = formulations.Unknown(domain, "u", "p")
     law = NeoHookean(1.0, 0.5)
-    with pytest.raises(ValueError, match="volumetric='quadratic' only"):
+    with pytest.raises(ValueError, match="use volumetric='quadratic'"):
         formulations.MixedEnergyMomentum(NeoHookean(1.0, 0.4, "miehe"), body, z)
     with pytest.raises(ValueError, match="alpha must be"):
         formulations.MixedEnergyMomentum(law, body, z, alpha=-1.0)

@@ -1081,7 +1081,7 @@ def test_unknowns_without_pressure():
 @pytest.mark.parametrize("functions", ["linear", "gimp"])
 def test_second_derivatives_that_there_are_not(functions):
     body, z, law = small(functions)
-    message = rf"is for points that see splines, .* not for {functions} functions"
+    message = rf"needs splines, .* not {functions} functions"
     with pytest.raises(ValueError, match=message):
         fm.stabilized("hessian", z, body, law)
     if functions == "gimp":
