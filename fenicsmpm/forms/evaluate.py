@@ -114,7 +114,7 @@ class FieldUpdates:
         self._expression = PointExpression(ufl.as_vector(components), points)
 
     def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Return new arrays by field name, in storage order; the fields themselves do not change."""
+        """Return new arrays by field name, in storage order; the fields do not change."""
         n = len(self._points)
         # An expression that is zero has no batches.
         result = {name: np.zeros((n, *shape)) for name, shape in self._shapes.items()}
