@@ -63,6 +63,9 @@ def inverse_cube_root(x):  # type: ignore[no-untyped-def]
 
     The iterations start from a rough guess and need no division. The first ones triple the number
     of correct digits, the last one doubles it.
+
+    Args:
+        x: number, or ``lanes.Row``.
     """
     z = rough_inverse_cube_root(x)
     for _ in range(2):
@@ -74,7 +77,11 @@ def inverse_cube_root(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def cube_root(x):  # type: ignore[no-untyped-def]
-    """Return the cube root to round-off, or NaN unless x is positive."""
+    """Return the cube root to round-off, or NaN unless x is positive.
+
+    Args:
+        x: number, or ``lanes.Row``.
+    """
     z = inverse_cube_root(x)
     y = x * z * z
     return y + (x - y * y * y) * z * z / 3
@@ -82,13 +89,21 @@ def cube_root(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def log_of_one_plus(x):  # type: ignore[no-untyped-def]
-    """Return ln(1 + x) to round-off, for small x by a series in a quarter of the time of log1p."""
+    """Return ln(1 + x) to round-off, for small x by a series in a quarter of the time of log1p.
+
+    Args:
+        x: number.
+    """
     return log_of_one_plus_small(x) if abs(x) < SMALL else math.log1p(x)
 
 
 @compiled
 def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
-    """Return ln(1 + x) to round-off for ``|x| < SMALL``."""
+    """Return ln(1 + x) to round-off for ``|x| < SMALL``, without a branch.
+
+    Args:
+        x: number, or ``lanes.Row``.
+    """
     y = x / (2 + x)
     z = y * y
     series = 1 / 9 + z * (1 / 11 + z * (1 / 13 + z / 15))
@@ -97,13 +112,21 @@ def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def exprel(x):  # type: ignore[no-untyped-def]
-    """Return the relative exponential (exp(x) - 1) / x."""
+    """Return the relative exponential (exp(x) - 1) / x.
+
+    Args:
+        x: number.
+    """
     return math.expm1(x) / x if x != 0 else 1.0
 
 
 @compiled
 def exprel_small(x):  # type: ignore[no-untyped-def]
-    """Return ``exprel`` to round-off for ``|x| < SMALL``, without a branch."""
+    """Return ``exprel`` to round-off for ``|x| < SMALL``, without a branch.
+
+    Args:
+        x: number, or ``lanes.Row``.
+    """
     y = 1 + x / 10
     for k in range(9, 1, -1):
         y = 1 + x * y / k
@@ -112,7 +135,11 @@ def exprel_small(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def volume_change(F):  # type: ignore[no-untyped-def]
-    """Return J - 1 with J = det F, as the sum of the principal invariants of F - I."""
+    """Return J - 1 with J = det F, as the sum of the principal invariants of F - I.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+    """
     a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
     d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
     g, h, i = F[2, 0], F[2, 1], F[2, 2] - 1
@@ -123,7 +150,11 @@ def volume_change(F):  # type: ignore[no-untyped-def]
 
 @compiled
 def metric_change(F):  # type: ignore[no-untyped-def]
-    """Return F F^T - I, a symmetric tensor."""
+    """Return F F^T - I, a symmetric tensor.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+    """
     a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
     d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
     g, h, i = F[2, 0], F[2, 1], F[2, 2] - 1
@@ -139,7 +170,12 @@ def metric_change(F):  # type: ignore[no-untyped-def]
 
 @compiled
 def congruence(A, S):  # type: ignore[no-untyped-def]
-    """Return A S A^T, a symmetric tensor, for a tuple A of 9 and a symmetric S."""
+    """Return A S A^T, a symmetric tensor.
+
+    Args:
+        A: tuple of 9.
+        S: symmetric tensor.
+    """
     a, b, c = A[0:3], A[3:6], A[6:9]
     x, y, z = (S[0], S[3], S[4]), (S[3], S[1], S[5]), (S[4], S[5], S[2])
     p = _dot(a, x), _dot(a, y), _dot(a, z)
@@ -150,7 +186,11 @@ def congruence(A, S):  # type: ignore[no-untyped-def]
 
 @compiled
 def rows(F):  # type: ignore[no-untyped-def]
-    """Return an array (3, 3) as a tuple of 9."""
+    """Return an array (3, 3) as a tuple of 9.
+
+    Args:
+        F: array ``(3, 3)``.
+    """
     return (
         F[0, 0], F[0, 1], F[0, 2],
         F[1, 0], F[1, 1], F[1, 2],
@@ -160,7 +200,11 @@ def rows(F):  # type: ignore[no-untyped-def]
 
 @compiled
 def inverse(A):  # type: ignore[no-untyped-def]
-    """Return the inverse of a tuple of 9."""
+    """Return the inverse of a tensor as a tuple of 9.
+
+    Args:
+        A: tuple of 9.
+    """
     a, b, c, d, e, f, g, h, i = A
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
     s = 1 / (a * p + b * q + c * r)
@@ -173,7 +217,12 @@ def inverse(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def compose(w, n):  # type: ignore[no-untyped-def]
-    """Return the symmetric tensor with eigenvalues w and eigenvectors in the columns of n."""
+    """Return the symmetric tensor with given eigenvalues and eigenvectors.
+
+    Args:
+        w: three eigenvalues.
+        n: tuple of 9 with the eigenvectors in its columns.
+    """
     return congruence(n, (w[0], w[1], w[2], 0.0, 0.0, 0.0))
 
 
@@ -208,6 +257,9 @@ def eigen(A):  # type: ignore[no-untyped-def]
     characteristic polynomial. The others follow from a rotation in the plane normal to this
     eigenvector. Therefore equal and nearly equal eigenvalues need no special treatment, errors are
     a few units of round-off of the largest eigenvalue, and eigenvectors are orthonormal.
+
+    Args:
+        A: symmetric tensor.
 
     Returns:
         Eigenvalues in no particular order, and a tuple of 9 with the eigenvectors in its columns.
@@ -292,21 +344,33 @@ def _polynomial(A, coefficients):  # type: ignore[no-untyped-def]
 
 @compiled
 def norm_squared(A):  # type: ignore[no-untyped-def]
-    """Return A : A for a symmetric tensor."""
+    """Return A : A for a symmetric tensor.
+
+    Args:
+        A: symmetric tensor.
+    """
     mixed = A[3] * A[3] + A[4] * A[4] + A[5] * A[5]
     return A[0] * A[0] + A[1] * A[1] + A[2] * A[2] + 2 * mixed
 
 
 @compiled
 def deviator(A):  # type: ignore[no-untyped-def]
-    """Return A - tr(A) / 3 for a symmetric tensor."""
+    """Return A - tr(A) / 3 I for a symmetric tensor.
+
+    Args:
+        A: symmetric tensor.
+    """
     mean = (A[0] + A[1] + A[2]) / 3
     return A[0] - mean, A[1] - mean, A[2] - mean, A[3], A[4], A[5]
 
 
 @compiled
 def logarithm(A):  # type: ignore[no-untyped-def]
-    """Return ln(I + A) of a symmetric tensor to round-off, without eigenvalues if A is small."""
+    """Return ln(I + A) of a symmetric tensor to round-off, without eigenvalues if A is small.
+
+    Args:
+        A: symmetric tensor.
+    """
     if norm_squared(A) < SMALL**2:
         return small_logarithm(A)
     w, n = eigen(A)
@@ -315,7 +379,11 @@ def logarithm(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def small_logarithm(A):  # type: ignore[no-untyped-def]
-    """Return ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for ``|A| < SMALL``."""
+    """Return ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for ``|A| < SMALL``.
+
+    Args:
+        A: symmetric tensor, of numbers or of ``lanes.Row``.
+    """
     b = (2 + A[0], A[3], A[4], A[3], 2 + A[1], A[5], A[4], A[5], 2 + A[2])
     c = inverse(b)
     Y = _times(A, (c[0], c[4], c[8], c[1], c[2], c[5]))
@@ -324,13 +392,21 @@ def small_logarithm(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def small_exponential(A):  # type: ignore[no-untyped-def]
-    """Return exp(A) of a symmetric tensor, to round-off for ``|A| < 2 SMALL``."""
+    """Return exp(A) of a symmetric tensor, to round-off for ``|A| < 2 SMALL``.
+
+    Args:
+        A: symmetric tensor, of numbers or of ``lanes.Row``.
+    """
     return _polynomial(A, _EXPONENTIAL)
 
 
 @compiled
 def exponential(A):  # type: ignore[no-untyped-def]
-    """Return exp(A) of a symmetric tensor to round-off, without eigenvalues if A is small."""
+    """Return exp(A) of a symmetric tensor to round-off, without eigenvalues if A is small.
+
+    Args:
+        A: symmetric tensor.
+    """
     if norm_squared(A) < SMALL**2:
         return small_exponential(A)
     w, n = eigen(A)
