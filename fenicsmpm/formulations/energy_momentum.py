@@ -17,7 +17,7 @@ from fenicsmpm.points import MaterialPoints
 
 
 def stress_power(P: Any, w: Any, points: MaterialPoints) -> ufl.Form:
-    """Return the internal virtual work, the integral of P : Grad w, of a stress.
+    """Return the internal virtual work of a stress P, the integral of P : Grad w.
 
     Args:
         P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL over the points.

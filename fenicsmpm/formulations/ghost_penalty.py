@@ -63,12 +63,12 @@ def ghost_penalty(
 def ghost_mass(
     cells: ActiveCells, scheme: TimeScheme, density: float, *, gamma: float = 0.1
 ) -> ufl.Form:
-    """Return gamma rho h^3 [dn a] . [dn w], an inertia of nodes with little material.
+    """Return the ghost mass, an inertia of nodes with little material.
 
-    The integral is taken over the facets of cut cells. It bounds the condition number of the mass
-    matrix (S. Sticko, G. Ludvigsson, G. Kreiss, Adv. Comput. Math. 46, 2020; conservation paper,
-    section 7.4). The kinetic energy that this term loses is not transferred to the points.
-    ``cells.Tying`` also regularizes the mass matrix, and conserves energy.
+    The form is gamma rho h^3 [dn a] . [dn w] on the facets of cut cells. It bounds the condition
+    number of the mass matrix (S. Sticko, G. Ludvigsson, G. Kreiss, Adv. Comput. Math. 46, 2020;
+    conservation paper, section 7.4). The kinetic energy that this term loses is not transferred to
+    the points. ``cells.Tying`` also regularizes the mass matrix, and conserves energy.
 
     Args:
         cells: active cells of the body.

@@ -13,7 +13,9 @@ from fenicsmpm.points import MaterialPoints
 
 
 def element_size(points: MaterialPoints) -> Any:
-    """Return the size ``h = |K|^(1/d)`` [m] of the cell around each point (VMS, below eq. 21).
+    """Return the size ``h = |K|^(1/d)`` [m] of the cell around each point.
+
+    See VMS, below equation 21.
 
     Args:
         points: material points.

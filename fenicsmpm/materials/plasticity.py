@@ -213,7 +213,9 @@ def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
 
 
 class VonMises(Law):
-    """Von Mises (J2) plasticity with Hencky's law (F-bar paper, section 4; conservation, 7.3, 7.4).
+    """Von Mises (J2) plasticity with Hencky's law.
+
+    See the F-bar paper, section 4, and the conservation paper, sections 7.3 and 7.4.
 
     The Kirchhoff stress tau = J sigma obeys ``sqrt(3/2) |dev tau| <= sigma_y(eps_p)``. Here eps_p
     is the accumulated plastic strain, whose rate is sqrt(2/3) times the norm of the plastic strain
@@ -234,10 +236,14 @@ class VonMises(Law):
     40.82 and 2.45 kPa correspond to s_u = 25 and 1.5 kPa in triaxial compression. In no other norm
     are the strengths such round numbers.
 
-    The state has three fields. "C_p_inverse" ``(3, 3)`` is the inverse plastic right Cauchy-Green
-    tensor [-], and "eps_p" the accumulated plastic strain [-]. "dissipation" [J/m^3] is the plastic
-    work per initial volume that is not stored, the integral of sigma_y(eps_p) - H eps_p over eps_p.
-    With linear hardening this is the dissipation of the paper (conservation, below equation 47).
+    The state has three fields:
+
+    - "C_p_inverse" ``(3, 3)`` is the inverse plastic right Cauchy-Green tensor [-].
+    - "eps_p" is the accumulated plastic strain [-].
+    - "dissipation" is the plastic work per initial volume that is not stored [J/m^3], the integral
+      of sigma_y(eps_p) - H eps_p over eps_p. With linear hardening this is the dissipation of the
+      paper (conservation, below equation 47).
+
     Hardening stores H eps_p^2 / 2, which is part of the energy. In all cases, the stress is the
     derivative of energy plus dissipation with respect to F.
 

@@ -59,7 +59,7 @@ class CourantStep:
                 f"{factor}, from {smallest} to {largest} s"
             )
         if not laws:
-            raise ValueError("the Courant step needs at least one body and its law")
+            raise ValueError("the Courant step needs a body and its law")
         self._moduli = {}
         for body, law in laws.items():
             modulus = law.wave_speed_modulus if isinstance(law, Law) else law
