@@ -35,9 +35,9 @@ def _nothing(F, L, parameters, state, sigma):
 def test_laws_that_forms_cannot_use():
     body = block()
     F = body.field("F")
-    with pytest.raises(ValueError, match="no velocities"):
+    with pytest.raises(ValueError, match="depends on velocities"):
         Response(NewtonianFluid(1e3, 1.0), body, F)
-    with pytest.raises(ValueError, match="does not read L, give needs_rate=False"):
+    with pytest.raises(ValueError, match="does not use L, create it with needs_rate=False"):
         Response(Law(_nothing, np.zeros(1), 1.0), body, F)
 
 
@@ -121,7 +121,7 @@ def test_shares_beyond_their_range():
 def test_inertia_and_mapping_with_different_masses():
     body = block()
     z = Unknown(body.mesh, "u")
-    with pytest.raises(ValueError, match=r"a share of 0.3 of .* lumping=1, or take scheme.inertia"):
+    with pytest.raises(ValueError, match=r"a share of 0.3 of .* lumping=1, or use scheme.inertia"):
         Midpoint(z, dt=0.1, lumping=0.3).lumped(body)
     Midpoint(z, dt=0.1, lumping=1.0).lumped(body)
 

@@ -152,7 +152,7 @@ def test_wrong_formulation():
     with pytest.raises(ValueError, match="'gls': use one of none, ppp, asgs, osgs"):
         formulations.stabilized("gls", z, s.body, law)
     quadratic = formulations.Unknown(s.mesh, "u", "p", degree=2)
-    with pytest.raises(ValueError, match="OSGS is for continuous linear functions"):
+    with pytest.raises(ValueError, match="OSGS needs continuous linear functions"):
         formulations.osgs(quadratic, s.body, law)
     with pytest.raises(ValueError, match=r"of shapes \[\(\)\], but .* needs \[\(2,\), \(\)\]"):
         formulations.Unknown(s.f, "u", "p")

@@ -309,7 +309,7 @@ def test_points_at_the_wall_are_counted_once(said):
 @pytest.mark.parametrize("loop", ["implicit", "quasi-static"])
 def test_bodies_without_any_points(loop):
     """Neither at first, nor when they were removed or have left; one with points is enough."""
-    words = "all bodies are empty: there are no points to be moved"
+    words = "all bodies are empty: there are no points to move"
 
     def simulation(bodies):
         z = Unknown(domain, "u", "p")

@@ -1057,7 +1057,7 @@ def test_interior_penalty_needs_cells_and_a_factor():
         with pytest.raises(ValueError, match=f"must be positive and finite: gamma = {gamma}"):
             fm.hessian_penalty(z, body, law, gamma=gamma)
     quadratic = Unknown(body.mesh, "u", "p", degree=2)
-    with pytest.raises(ValueError, match="the interior penalty is for continuous linear"):
+    with pytest.raises(ValueError, match="the interior penalty needs continuous linear"):
         fm.interior_penalty(quadratic, cells, law)
     with pytest.raises(ValueError, match=r"'cipp': use one of none, .*cip"):
         fm.stabilized("cipp", z, body, law)
@@ -1081,7 +1081,7 @@ def test_unknowns_without_pressure():
 @pytest.mark.parametrize("functions", ["linear", "gimp"])
 def test_second_derivatives_that_there_are_not(functions):
     body, z, law = small(functions)
-    message = rf"is for points that see splines, .* not for {functions} functions"
+    message = rf"needs splines, .* not {functions} functions"
     with pytest.raises(ValueError, match=message):
         fm.stabilized("hessian", z, body, law)
     if functions == "gimp":

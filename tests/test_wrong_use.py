@@ -46,7 +46,7 @@ def test_functions_that_are_not_linear():
     z = Unknown(domain, "u", "p", degree=2)
     scheme = formulations.Bossak(z, dt=0.1)
     R = formulations.mixed(z, body, NeoHookean(1.0, 0.3), force=scheme.force(body))
-    with pytest.raises(ValueError, match="mapping by the lumped mass is for continuous linear"):
+    with pytest.raises(ValueError, match="mapping by the lumped mass needs continuous linear"):
         ImplicitMPM(R, z, scheme, body)
 
 

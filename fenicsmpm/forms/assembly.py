@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Assembly of forms over points into scalars, dolfinx vectors and MatrixCSR.
 
-The functions follow their namesakes in ``dolfinx.fem``: contributions to ghost entries stay where
-they are until the caller scatters them, except where said.
+The functions follow their counterparts in ``dolfinx.fem``. Unless stated otherwise, contributions
+to ghost entries are not communicated until the caller scatters them.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from fenicsmpm.forms.form import Form
 from fenicsmpm.forms.integral import PointIntegral
 
 _Array = npt.NDArray[np.float64]
-# Places of the element matrices in rows of each matrix, while the selected groups stay the same
+# Places of the element matrices in rows of each matrix, for the last selected groups
 _places: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
 _places = weakref.WeakKeyDictionary()
-# Values of constant region forms in a matrix, with what they belong to
+# Values of constant region forms in a matrix, with the state for which they are valid
 _constant_parts: weakref.WeakKeyDictionary[la.MatrixCSR, weakref.WeakKeyDictionary]
 _constant_parts = weakref.WeakKeyDictionary()
 _Indices = npt.NDArray[np.int32]
@@ -51,18 +51,22 @@ def _check_size(b: _Array, V: fem.FunctionSpace) -> None:
     if len(b) != size * V.dofmap.index_map_bs:
         raise ValueError(
             f"vector of {len(b)} entries for a space of {size * V.dofmap.index_map_bs} local "
-            "degrees of freedom, ghosts included"
+            "degrees of freedom, ghosts included: create the vector for this space"
         )
 
 
 def assemble_scalar(M: Form) -> float:
-    """Integrate a form of rank 0.
+    """Integrate a form of rank 0 (collective).
 
     Args:
-        M: the compiled form.
+        M: compiled form.
 
     Returns:
-        The integral over all ranks (unlike dolfinx', which leaves the sum to the caller).
+        The integral over all ranks. In contrast, dolfinx leaves the sum over ranks to the caller.
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank.
     """
     _check(M, 0)
     M.refresh()
@@ -76,11 +80,16 @@ def assemble_vector(L: Form, b: la.Vector | None = None) -> la.Vector:
     """Assemble a form of rank 1.
 
     Args:
-        L: the compiled form.
-        b: vector to add to; None for a new one.
+        L: compiled form.
+        b: vector to add to. None for a new one.
 
     Returns:
-        The vector; its ghost entries are not yet sent to their owners (``b.scatter_reverse``).
+        The vector. Its ghost entries have not been sent to their owners yet
+        (``b.scatter_reverse``).
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank, or the vector another size.
     """
     _check(L, 1)
     if b is None:
@@ -95,11 +104,11 @@ def add_to_array(b: _Array, L: Form, sizes: _Array | None = None) -> None:
     """Add a form of rank 1 to the local array of a vector, ghosts included.
 
     Args:
-        b: the array.
+        b: local array of the vector, ghosts included.
         L: compiled form.
-        sizes: array to which the absolute values of what is added are added, cell by cell of
-            points, and integral by integral over cells or facets: their round-off is what a sum
-            that should be zero has.
+        sizes: array to which the absolute values of the added terms are added, separately for each
+            group of points, and for each form over cells or facets. They give the scale of
+            round-off in sums that should be zero.
     """
     _check_size(b, L.function_spaces[0])
     L.refresh()
@@ -120,13 +129,17 @@ def add_to_array(b: _Array, L: Form, sizes: _Array | None = None) -> None:
 
 
 def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
-    """Create a matrix for a form of rank 2, block size one.
+    """Create a matrix for a form of rank 2, with block size one.
 
     Args:
-        a: the compiled form.
-        compact: room for the points in the cells where they are now only. Direct solvers then
-            see nothing of the empty part of the background mesh. Otherwise, there is room for
-            points in any cell, so that they may move.
+        a: compiled form.
+        compact: whether the matrix only has entries for the cells that contain points now. Direct
+            solvers then do not see the empty part of the background mesh. Otherwise, there are
+            entries for points in any cell, so that the points may move.
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank.
     """
     _check(a, 2)
     maps = [V.dofmap.index_map for V in a.function_spaces]
@@ -138,14 +151,14 @@ def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
     for rows, columns in _meetings(a, compact):
         _insert_cliques(pattern, rows, columns)
     if _is_square(a):
-        # of ghosts, too: dolfinx counts constrained ghosts of blocked spaces among the owned
+        # Ghosts are included, because dolfinx counts constrained ghosts of blocked spaces as owned.
         pattern.insert_diagonal(np.arange(maps[0].size_local + maps[0].num_ghosts, dtype=np.int32))
     pattern.finalize()
     return la.matrix_csr(pattern, cpp.la.BlockMode.expanded)
 
 
 def _meetings(a: Form, compact: bool) -> Iterator[tuple[_Indices, _Indices]]:
-    """Blocks of test and trial functions that meet, ``(n, n_blocks)`` each, for a pattern."""
+    """Yield blocks of test and trial functions that interact, ``(n, n_blocks)`` each."""
     if compact:
         for integral in a.point_integrals:
             integral.refresh()
@@ -166,10 +179,10 @@ def _meetings(a: Form, compact: bool) -> Iterator[tuple[_Indices, _Indices]]:
 
 
 def _insert_cliques(pattern: Any, rows: _Indices, columns: _Indices) -> None:
-    """Insert all pairs of each line of rows and columns, every pair once."""
+    """Insert all pairs of the row and column blocks in each line, every pair once."""
     (rows, row_ends, there), (columns, column_ends, here) = map(_together, (rows, columns))
     pairs = (there @ here.T).tocsr()
-    # all columns of the sets of columns that each set of rows meets
+    # all columns of the column sets that each row set interacts with
     starts, lengths = column_ends[pairs.indices], np.diff(column_ends)[pairs.indices]
     ends = np.concatenate([[0], np.cumsum(lengths)])
     found = columns[np.repeat(starts - ends[:-1], lengths) + np.arange(ends[-1])]
@@ -179,10 +192,10 @@ def _insert_cliques(pattern: Any, rows: _Indices, columns: _Indices) -> None:
 
 
 def _together(blocks: _Indices) -> tuple[_Indices, npt.NDArray[np.int64], Any]:
-    """Blocks that are in the same lines together, such as parts of a mixed space at a node.
+    """Group blocks that occur in the same lines, such as parts of a mixed space at a node.
 
     Returns:
-        The blocks, set by set; where each set begins, and the end; incidence of sets and lines.
+        The blocks, set by set; the start of each set and the end; the incidence of sets and lines.
     """
     n, k = blocks.shape
     shape = n, int(blocks.max(initial=-1)) + 1
@@ -192,7 +205,7 @@ def _together(blocks: _Indices) -> tuple[_Indices, npt.NDArray[np.int64], Any]:
     lines.sum_duplicates()
     order, starts = loops.equal_rows(lines.indptr, lines.indices)
     incidence = lines[order[starts]]
-    used = np.flatnonzero(np.diff(incidence.indptr))  # not those that are in no line
+    used = np.flatnonzero(np.diff(incidence.indptr))  # omits blocks that are in no line
     ends = np.append(starts, len(order))
     members = [order[ends[i] : ends[i + 1]] for i in used]
     sizes = np.cumsum([0, *map(len, members)])
@@ -205,26 +218,32 @@ def assemble_matrix(
     diag: float = 1.0,
     A: la.MatrixCSR | None = None,
 ) -> la.MatrixCSR:
-    """Assemble a form of rank 2.
+    """Assemble a form of rank 2 (collective).
 
-    Rows and columns of constrained degrees of freedom are left out and get ``diag`` on the
-    diagonal. Degrees of freedom that no integral reaches, because there is no point near them,
-    get a row of the identity, so the matrix can be factorized.
+    Rows and columns of constrained degrees of freedom are omitted and get ``diag`` on the diagonal.
+    Degrees of freedom without points nearby, which no integral reaches, get a row of the identity,
+    so that the matrix can be factorized.
 
     Args:
-        a: the compiled form.
+        a: compiled form.
         bcs: Dirichlet conditions.
         diag: diagonal entry of constrained degrees of freedom.
-        A: matrix to overwrite, from ``create_matrix``; None for a new one.
+        A: matrix to overwrite, from ``create_matrix``. None for a new one.
 
     Returns:
-        The matrix, ghost rows already sent to their owners.
+        The matrix. Its ghost rows have already been sent to their owners.
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank, or the matrix was created for another form.
     """
     _check(a, 2)
     a.refresh()
     A = create_matrix(a) if A is None else A
     if list(A.block_size) != [1, 1]:
-        raise ValueError(f"matrix of block sizes {A.block_size}: use create_matrix of this form")
+        raise ValueError(
+            f"matrix of block sizes {A.block_size}: create it with forms.create_matrix"
+        )
     fixed = [_marks(V, bcs) for V in a.function_spaces]
     _set_mesh_forms(A, a, list(bcs), fixed)
     reached = _reached_by_values(A) if a.has_mesh_forms else None
@@ -244,14 +263,16 @@ def assemble_matrix(
 
 
 def inactive_dofs(a: Form, A: la.MatrixCSR | None = None) -> npt.NDArray[np.int32]:
-    """Degrees of freedom of the test space without a point (or other integral) near them.
+    """Return the degrees of freedom of the test space that no integral reaches (collective).
+
+    These have no points nearby. For linear forms, integrals over cells and facets are ignored.
 
     Args:
-        a: compiled form of rank 1 or 2 (of a linear form, integrals over the mesh are not seen).
-        A: matrix of a form of rank 2 that is overwritten; None for a new one.
+        a: compiled form of rank 1 or 2.
+        A: matrix of a form of rank 2, which is overwritten. None for a new one.
 
     Returns:
-        Owned local indices, unrolled.
+        Owned local indices, unrolled, ``(n,)``.
     """
     reached = None
     if a.has_mesh_forms and a.rank == 2:
@@ -273,11 +294,15 @@ def apply_lifting(
     """Subtract ``alpha * A (g - x0)`` from a vector, for the constrained columns of each A.
 
     Args:
-        b: local array of the vector, ghosts included; scatter it afterwards.
+        b: local array of the vector, ghosts included. Scatter it afterwards.
         a: compiled forms of rank 2.
         bcs: Dirichlet conditions on the trial space of each form.
-        x0: local arrays of the current solutions, ghosts included.
-        alpha: factor.
+        x0: local arrays of the current solutions, ghosts included. None for zero.
+        alpha: factor [-].
+
+    Raises:
+        TypeError: if a form is not compiled by ``form``.
+        ValueError: if a form has another rank, or the vector another size.
     """
     for k, form in enumerate(a):
         _check(form, 2)
@@ -292,7 +317,7 @@ def apply_lifting(
             if _compat.is_on(bc, V):
                 _compat.bc_set(bc, values, None if x0 is None else x0[k], alpha)
         for ordinary in form.mesh_forms():
-            # dolfinx wants all ghost values of x0; it computes g - x0 itself
+            # dolfinx needs all ghost values of x0, and computes g - x0 itself
             own = [bc for bc in bcs[k] if _compat.is_on(bc, V)]
             fem.apply_lifting(b, [ordinary], [own], None if x0 is None else [x0[k]], alpha)
         for integral in form.point_integrals:
@@ -307,14 +332,14 @@ def _set_mesh_forms(
 ) -> None:
     """Set a matrix to the integrals over cells and facets.
 
-    Those over regions that have no coefficients are kept until points move or constants change.
+    Integrals over regions without coefficients are kept until points move or constants change.
     """
     constant = [form for form in a.region_forms if form.is_constant]
     if constant:
         key = (tuple(form.state for form in constant), *(f.tobytes() for f in fixed))
         kept = _constant_parts.setdefault(A, weakref.WeakKeyDictionary())
         is_new = a not in kept or kept[a][0] != key
-        # conditions may differ on one rank only
+        # Conditions may have changed on one rank only.
         if a.mesh.comm.allreduce(is_new, MPI.LOR):
             A.set_value(0.0)
             for region_form in constant:
@@ -334,7 +359,7 @@ def _add_ordinary(A: la.MatrixCSR, a: fem.Form, bcs: list[fem.DirichletBC]) -> N
     if bs[0] == bs[1] <= 3:
         fem.assemble_matrix(A, a, bcs, 0.0)  # no diagonal
         return
-    # dolfinx fills its own matrices with these block sizes only, so others go through PETSc
+    # dolfinx fills its own matrices with these block sizes only. Other forms go through PETSc.
     matrix = petsc.assemble_matrix(a, bcs, 0.0)
     matrix.assemble()
     indptr, columns, values = matrix.getValuesCSR()
@@ -348,7 +373,7 @@ def _is_square(a: Form) -> bool:
 
 
 def _marks(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.uint8]:
-    """``(n_dofs,)`` 1 for the constrained local degrees of freedom, ghosts included."""
+    """Return ``(n_dofs,)`` 1 for the constrained local degrees of freedom, ghosts included."""
     size = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
     marks = np.zeros(size * V.dofmap.index_map_bs, dtype=np.uint8)
     for bc in bcs:
@@ -358,7 +383,7 @@ def _marks(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[
 
 
 def _reached_by_values(A: la.MatrixCSR) -> npt.NDArray[np.bool_]:
-    """``(n_rows,)`` whether a local row, ghosts included, has an entry that is not zero."""
+    """Return ``(n_rows,)`` whether a local row, ghosts included, has a nonzero entry."""
     counts = np.concatenate([[0], np.cumsum(A.data != 0.0)])
     return np.diff(counts[A.indptr]) > 0
 
@@ -376,7 +401,7 @@ def _inactive_marks(a: Form, reached: npt.NDArray[np.bool_] | None) -> npt.NDArr
 
 
 def _diagonal_positions(A: la.MatrixCSR) -> npt.NDArray[np.int64]:
-    """``(n_owned,)`` positions of the diagonal entries of the owned rows."""
+    """Return the ``(n_owned,)`` positions of the diagonal entries of the owned rows."""
     result = np.empty(A.index_map(0).size_local, dtype=np.int64)
     loops.diagonal_positions(A.indptr, A.indices, result)
     return result
@@ -385,7 +410,7 @@ def _diagonal_positions(A: la.MatrixCSR) -> npt.NDArray[np.int64]:
 def _csr_places(
     A: la.MatrixCSR, integral: PointIntegral, dofs: list[npt.NDArray[np.int32]]
 ) -> npt.NDArray[np.unsignedinteger]:
-    """Places within their rows of the entries that groups with points have; see ``csr_places``."""
+    """Return the places of entries within their rows for groups with points; see ``csr_places``."""
     cached = _places.setdefault(A, weakref.WeakKeyDictionary())
     groups = integral.groups
     if integral not in cached or not np.array_equal(cached[integral][0], groups):
@@ -400,6 +425,8 @@ def _csr_places(
         kind = np.uint16 if longest <= np.iinfo(np.uint16).max else np.uint32
         places = np.empty((len(groups), n, dofs[1].shape[1]), dtype=kind)
         if not loops.csr_places(A.indptr, A.indices, *dofs, groups, places):
-            raise ValueError("matrix made for another form: use create_matrix of this one")
+            raise ValueError(
+                "matrix made for another form: create it with forms.create_matrix for this one"
+            )
         cached[integral] = (groups, places)
     return cached[integral][1]

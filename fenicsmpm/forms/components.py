@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Tensor expressions in components: UFL's ``expand_indices`` with a memory.
+"""Expansion of tensor expressions into components: UFL's ``expand_indices`` with memoization.
 
-UFL visits shared parts of an expression once for each of its uses, and parts of these again:
-tangents of stresses that hold inverses and products of tensors take it minutes.
+UFL visits shared parts of an expression again for each of their uses, and so on recursively. For
+tangents of stresses with inverses and products of tensors this takes minutes.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from ufl.classes import (
 
 
 def expand_components(expression: Any) -> Any:
-    """A scalar expression without free indices, sums over indices and tensors.
+    """Expand a scalar expression so that it has no free indices, index sums or tensors.
 
     Args:
-        expression: scalar UFL expression whose derivatives are expanded and whose compound
-            tensor operators are lowered, such as after ``expand_derivatives``.
+        expression: scalar UFL expression, with derivatives already expanded and compound tensor
+            operators already lowered, for example by ``expand_derivatives``.
 
     Returns:
-        The same in components of its terminals; equal parts are one object.
+        The expression in terms of components of its terminals. Equal parts are the same object.
     """
     return _Expander().visit(expression, (), {})
 
 
 class _Expander:
-    """Components found so far, by expression, component and values of its free indices."""
+    """Components found so far, by expression, component and values of the free indices."""
 
     def __init__(self) -> None:
         self._memo: dict[Any, Any] = {}
 
     def visit(self, node: Any, component: tuple[int, ...], values: dict[int, int]) -> Any:
-        """One component of a node, free indices having the given values by their counts."""
+        """Return a component of a node, given the values of its free indices by count."""
         key = (node, component, tuple(values[i] for i in node.ufl_free_indices))
         if key not in self._memo:
             self._memo[key] = self._expand(node, component, values)

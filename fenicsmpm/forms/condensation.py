@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Many material points of a cell replaced by few sites, where an integrand allows it exactly.
+"""Exact replacement of many material points in a cell by few sites.
 
-With functions linear in a cell, integrands without data that differ from point to point often are
-polynomials of a low degree q there. For q <= 1 the centroid of the points stands for all of them.
-Beyond, f is the sum of its values at the nodes of the Lagrange functions L_a of that degree, and
+If the functions are linear in a cell and no data vary from point to point, integrands are often
+polynomials of a low degree q in the cell. For q <= 1 the centroid of the points represents all of
+them. For higher degrees, f is the sum of its nodal values times the Lagrange functions L_a of
+degree q, and
 
     sum_p V_p f(x_p) = sum_a W_a f(x_a)    with    W_a = sum_p V_p L_a(x_p).
 """
@@ -25,12 +26,17 @@ from fenicsmpm.forms.sites import Sites
 from fenicsmpm.forms.slots import SIMPLICES
 from fenicsmpm.points import MaterialPoints
 
-# Highest degree of interest: an input, a test and a trial function, all linear
+# Highest useful degree: the product of an input, a test and a trial function, all linear
 MAX_DEGREE = 3
 
 
 def sites_per_cell(mesh: Any, degree: float) -> float:
-    """Number of sites that a cell needs for integrands of a degree; infinite if it cannot be."""
+    """Return the number of sites per cell for integrands of a degree, infinite if impossible.
+
+    Args:
+        mesh: background mesh.
+        degree: polynomial degree of the integrand.
+    """
     if degree > MAX_DEGREE or mesh.basix_cell().name not in SIMPLICES:
         return math.inf
     return 1 if degree <= 1 else _lagrange(mesh, int(degree)).dim
@@ -42,19 +48,19 @@ def _lagrange(mesh: Any, degree: int) -> Any:
 
 
 class CondensedPoints:
-    """Sites in cells with weights of their own.
+    """Sites in cells with their own weights.
 
-    It has those attributes of ``MaterialPoints`` that a ``LagrangeStencil`` and integrals of
+    The class has those attributes of ``MaterialPoints`` that a ``LagrangeStencil`` and integrals of
     grid functions need.
 
     Args:
-        points: those that they stand for.
-        cell: ``(n,)`` cells of the sites, in ascending order.
-        xi: ``(n, d)`` reference positions.
-        weight: ``(n,)`` weights in m^d, any sign.
+        points: points that the sites represent.
+        cell: cells of the sites ``(n,)``, in ascending order.
+        xi: reference positions ``(n, d)`` [-].
+        weight: weights ``(n,)`` [m^d], of any sign.
     """
 
-    version = 0  # for stencils: these sites do not move
+    version = 0  # read by stencils; these sites do not move
 
     def __init__(
         self,
@@ -63,27 +69,27 @@ class CondensedPoints:
         xi: npt.NDArray[np.float64],
         weight: npt.NDArray[np.float64],
     ) -> None:
-        """Find the positions."""
+        """Compute the positions."""
         self.mesh, self.geometry = points.mesh, points.geometry
         self.cell, self.xi, self.weight = cell, xi, weight
         self.order = np.arange(len(cell))
         self.x = self.geometry.push_forward(cell, xi)
 
     def __len__(self) -> int:
-        """Number of sites on this rank."""
+        """Return the number of sites on this rank."""
         return len(self.cell)
 
 
 class Condensation:
-    """Makes few sites out of many, for integrands of one degree.
+    """Replacement of many sites by few, for integrands of one degree.
 
     Args:
-        degree: of the integrands, with a finite ``sites_per_cell``.
+        degree: degree of the integrands, for which ``sites_per_cell`` must be finite.
         sites: all selected points, by cell.
     """
 
     def __init__(self, degree: float, sites: Sites) -> None:
-        """Tabulate the functions whose sums are the new weights."""
+        """Tabulate the functions whose weighted sums are the new weights."""
         self._all = sites
         self._weights: npt.NDArray[np.float64] | None = None
         self._element = None
@@ -95,7 +101,7 @@ class Condensation:
             self._table = self._element.tabulate(0, xi)[0, ..., 0]
 
     def sites(self) -> Sites:
-        """The sites that stand for all points with their weights of now."""
+        """Return the sites that represent all points with their current weights."""
         weights = self._all.weights
         if self._weights is None or not np.array_equal(weights, self._weights):
             self._weights = weights.copy()
@@ -103,7 +109,7 @@ class Condensation:
         return self._few
 
     def _condense(self, weights: npt.NDArray[np.float64]) -> Sites:
-        if not weights.min(initial=1.0) > 0.0:  # there need not be a centroid
+        if not weights.min(initial=1.0) > 0.0:  # the centroid may not exist
             return self._all
         groups = self._all.groups
         moments = np.empty((len(groups), self._table.shape[1]))
@@ -120,7 +126,7 @@ class Condensation:
 
 @njit
 def _sum_moments(weights, table, offsets, result):
-    """W_a = sum_p V_p L_a(x_p) into ``result (n_cells, n_columns)``."""
+    """Set ``result (n_cells, n_columns)`` to W_a = sum_p V_p L_a(x_p)."""
     for i in range(len(offsets) - 1):
         result[i] = 0.0
         for k in range(offsets[i], offsets[i + 1]):

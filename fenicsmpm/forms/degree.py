@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Polynomial degree of a pointwise form in the position of the point within its group."""
+"""Polynomial degree of a pointwise form with respect to the position of a point in its group."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ufl.corealg.traversal import unique_post_traversal
 
 
 def degree_of(expression: Any, leaves: Mapping[Any, float]) -> float:
-    """Degree of an expression, given those of its parts.
+    """Return the degree of an expression, given the degrees of its parts.
 
     Args:
         expression: UFL expression without free indices.
-        leaves: degrees of the parts that stand for functions; all others are constants.
+        leaves: degrees of the parts that stand for functions. All other parts are constants.
 
     Returns:
-        The degree; infinite for what is no polynomial.
+        The degree, infinite if the expression is not a polynomial.
     """
     degrees: dict[Any, float] = {}
     for node in unique_post_traversal(expression):

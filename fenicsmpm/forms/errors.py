@@ -3,4 +3,4 @@
 
 
 class UnsupportedFormError(ValueError):
-    """A form over material points contains something that has no meaning or no support there."""
+    """Error for a form over material points with a part that has no meaning or support there."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Values of UFL expressions at material points."""
+"""Evaluation of UFL expressions at material points."""
 
 from __future__ import annotations
 
@@ -21,16 +21,19 @@ from fenicsmpm.points import MaterialPoints
 
 
 class PointExpression:
-    """A compiled UFL expression over material points.
+    """Compiled UFL expression over material points.
 
     Args:
-        expression: UFL expression without arguments, of any shape; it may use functions and
-            their gradients, point fields, constants and geometry, as in forms over points.
+        expression: UFL expression of any shape, without arguments. As in forms over points, it may
+            contain functions and their gradients, point fields, constants and geometry.
         points: the point set.
-        jit_options: see ``form``.
+        jit_options: options of the compiler; see ``form``.
+
+    Attributes:
+        shape: shape of the expression.
 
     Raises:
-        UnsupportedFormError: for an expression with arguments or parts without meaning at points.
+        UnsupportedFormError: if the expression has arguments, or parts without meaning at points.
     """
 
     def __init__(
@@ -42,10 +45,13 @@ class PointExpression:
         """Compile (collective)."""
         expression = ufl.as_ufl(expression)
         if extract_arguments(expression):
-            raise UnsupportedFormError(f"expression with arguments at points: {expression}")
+            raise UnsupportedFormError(
+                f"expression with arguments at points: {expression}. Replace test and trial "
+                "functions by functions."
+            )
         self.shape = expression.ufl_shape
         size = int(np.prod(self.shape, dtype=int))
-        # tested with one constant function a component, the kernel's rows are the components
+        # With one constant test function per component, the rows of the kernel are the components.
         element = basix.ufl.element("DG", points.mesh.basix_cell(), 0, shape=(size,))
         test = ufl.TestFunction(ufl.FunctionSpace(points.mesh.ufl_domain(), element))
         components = (
@@ -55,17 +61,17 @@ class PointExpression:
         self._integral = PointIntegral(integrand, points, None, jit_options or {})
 
     def batches(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
-        """Values now, some points at a time, so that few of them are in memory at once.
+        """Yield current values in batches of points, which limits the memory in use.
 
         Yields:
-            Storage indices ``(n,)`` and values ``(n, size)``, flattened components; nothing for
-            an expression that is zero.
+            Storage indices ``(n,)`` and values ``(n, size)``, flattened components. Nothing is
+            yielded for an expression that is zero.
         """
         if self._integral.kernel is None:  # zero
             return
         layout = self._integral.lowered.arguments[0].layout
         assert layout is not None
-        # components that are zero have no slot
+        # Components that are zero have no slot.
         columns = self._integral.lowered.arguments[0].used // layout.n_rows
         size = int(np.prod(self.shape, dtype=int))
         for rows, tensors in self._integral.point_tensors():
@@ -77,7 +83,7 @@ class PointExpression:
                 yield rows, values
 
     def evaluate(self) -> npt.NDArray[np.float64]:
-        """Values now, ``(n_points, *shape)`` in the points' storage order."""
+        """Return the current values, ``(n_points, *shape)``, in the storage order of the points."""
         n = len(self._integral.points)
         result = np.zeros((n, int(np.prod(self.shape, dtype=int))))
         for rows, values in self.batches():
@@ -86,11 +92,12 @@ class PointExpression:
 
 
 class FieldUpdates:
-    """New values of several fields of a point set; expressions are compiled as one.
+    """New values of several fields of a point set, whose expressions are compiled together.
 
     Args:
         points: the point set.
-        fields: by name, UFL over the points, or functions that return ``(n_points, *shape)``.
+        fields: new values by field name, as UFL over the points, or as functions that return
+            ``(n_points, *shape)``.
     """
 
     def __init__(self, points: MaterialPoints, fields: Mapping[str, Any]) -> None:
@@ -107,9 +114,9 @@ class FieldUpdates:
         self._expression = PointExpression(ufl.as_vector(components), points)
 
     def evaluate(self) -> dict[str, npt.NDArray[np.float64]]:
-        """New arrays by name, in storage order; the fields stay as they are."""
+        """Return new arrays by field name, in storage order; the fields do not change."""
         n = len(self._points)
-        # an expression that is zero throughout has no batches
+        # An expression that is zero has no batches.
         result = {name: np.zeros((n, *shape)) for name, shape in self._shapes.items()}
         for rows, values in self._expression.batches():
             first = 0
@@ -121,25 +128,29 @@ class FieldUpdates:
 
 
 def evaluate(expression: Any, points: MaterialPoints) -> npt.NDArray[np.float64]:
-    """Values of a UFL expression at material points.
+    """Return the values of a UFL expression at material points.
 
-    To evaluate one expression many times, keep a ``PointExpression``.
+    To evaluate the same expression many times, keep a ``PointExpression``.
 
     Args:
         expression: UFL expression without arguments.
         points: the point set.
 
     Returns:
-        ``(n_points, *shape)`` in storage order, to be assigned to a field of the points.
+        Values ``(n_points, *shape)`` in storage order, which can be assigned to a field of the
+        points.
+
+    Raises:
+        UnsupportedFormError: if the expression has arguments, or parts without meaning at points.
     """
     return PointExpression(expression, points).evaluate()
 
 
 def describe_not_finite(compiled: Form) -> str:
-    """Say at which material point an integrand of a form is not finite (collective).
+    """Describe at which material point an integrand of a form is not finite (collective).
 
     Args:
-        compiled: a compiled form.
+        compiled: compiled form.
 
     Returns:
         One sentence with position, cell and rank of the first such point.
@@ -160,6 +171,6 @@ def describe_not_finite(compiled: Form) -> str:
 
 
 def _not_finite(integral: PointIntegral) -> Iterator[npt.NDArray[np.int64]]:
-    """Storage indices of the points where an integrand is not finite."""
+    """Yield the storage indices of points at which an integrand is not finite."""
     for rows, tensors in integral.point_tensors():
         yield rows[~np.isfinite(tensors).all(axis=tuple(range(1, tensors.ndim)))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""form(F): a compiled form with integrals over points and over the mesh."""
+"""Compiled forms with integrals over points, cells and facets."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from fenicsmpm.points.point_field import PointField
 
 
 class Form(Described):
-    """A compiled form: integrals over points, and what is left for dolfinx.
+    """Compiled form with integrals over points, and over cells and facets by dolfinx.
 
     Create it with ``form``.
 
     Attributes:
         ufl_form: the UFL form.
-        point_integrals: one for each point set and selection of tags.
-        ordinary: compiled dolfinx form of the integrals over fixed cells and facets, or None.
-        region_forms: forms over cells and facets that follow points.
-        function_spaces: dolfinx spaces of the arguments, test space first.
-        mesh: the dolfinx mesh.
+        point_integrals: integrals over points, one for each point set and tag.
+        ordinary: compiled dolfinx form with the integrals over fixed cells and facets, or None.
+        region_forms: forms over cells and facets that follow the points.
+        function_spaces: dolfinx spaces of the arguments, with the test space first.
+        mesh: dolfinx mesh.
     """
 
     def __init__(
@@ -43,24 +43,24 @@ class Form(Described):
         function_spaces: list[fem.FunctionSpace],
         mesh: Any,
     ) -> None:
-        """Collect the parts; see ``form``."""
+        """Store the parts; see ``form``."""
         self.ufl_form = ufl_form
         self.point_integrals = point_integrals
         self.ordinary = ordinary
         self.region_forms = region_forms
         self.function_spaces = function_spaces
         self.mesh = mesh
-        # functions on the grid that are derived from points, such as their volume at the nodes
+        # grid functions that are derived from points, such as their volume at the nodes
         self._derived = [c for c in ufl_form.coefficients() if hasattr(c, "follow_points")]
 
     @property
     def rank(self) -> int:
-        """Number of arguments: 0 scalar, 1 vector, 2 matrix."""
+        """Number of arguments: 0 for a scalar, 1 for a vector, 2 for a matrix."""
         return len(self.function_spaces)
 
     @property
     def versions(self) -> tuple[Any, ...]:
-        """Changes whenever points have moved."""
+        """Version numbers of points and regions, which change whenever points have moved."""
         regions = tuple(form.region.version for form in self.region_forms)
         return (*(integral.points.version for integral in self.point_integrals), *regions)
 
@@ -70,17 +70,18 @@ class Form(Described):
         return self.ordinary is not None or bool(self.region_forms)
 
     def mesh_forms(self, varying: bool = False) -> list[fem.Form]:
-        """Dolfinx forms of all integrals over cells and facets, as they are now (collective).
+        """Return the dolfinx forms of all integrals over the current cells and facets (collective).
 
         Args:
-            varying: without those whose tensors change with the region only.
+            varying: whether to omit forms without coefficients, whose tensors change only with the
+                region and the constants.
         """
         fixed = [] if self.ordinary is None else [self.ordinary]
         selected = [f for f in self.region_forms if not (varying and f.is_constant)]
         return fixed + [form.current() for form in selected]
 
     def refresh(self) -> None:
-        """Bring coefficients that are derived from points up to date (collective)."""
+        """Update the coefficients that are derived from points (collective)."""
         for function in self._derived:
             function.follow_points()
 
@@ -89,7 +90,7 @@ class Form(Described):
         return ("scalar", "vector", "matrix")[self.rank]
 
     def _integrals(self) -> list[tuple[str, str]]:
-        """Where integrals are taken, and the names of the coefficients in them."""
+        """Return the domains of integration, and the names of the coefficients in them."""
         found = [
             (
                 f"{len(i.points)} points" + ("" if i.tag is None else f" with tag {i.tag}"),
@@ -122,7 +123,7 @@ class Form(Described):
 
 
 def _names(items: list[Any]) -> str:
-    """Names of functions and of fields of points, each once."""
+    """Return the names of functions and point fields, each once."""
     named = [item.name for item in items if isinstance(item, fem.Function | PointField)]
     return ", ".join(dict.fromkeys(named)) or "no coefficients"
 
@@ -133,22 +134,26 @@ def form(
     form_compiler_options: dict[str, Any] | None = None,
     jit_options: dict[str, Any] | None = None,
 ) -> Form:
-    """Compile a UFL form whose integrals are over material points, cells or facets.
+    """Compile a UFL form with integrals over material points, cells or facets (collective).
 
-    Integrals over ``points.dx`` are taken as sums over the points with their weights; all other
-    integrals (``dx``, ``ds``, ``dS``) are handed to dolfinx. Collective.
+    Integrals over ``points.dx`` are sums over the points with their weights. dolfinx compiles all
+    other integrals (``dx``, ``ds``, ``dS``).
 
     Args:
-        F: form of rank 0, 1 or 2 on one mesh.
+        F: UFL form of rank 0, 1 or 2 on one mesh.
         form_compiler_options: FFCx options for the integrals over cells and facets.
-        jit_options: options of ``dolfinx.jit.ffcx_jit`` for all integrals; the compiler flags of
-            point integrals are chosen for speed unless ``cffi_extra_compile_args`` says otherwise.
+        jit_options: options of ``dolfinx.jit.ffcx_jit`` for all integrals. The compiler flags of
+            point integrals are chosen for speed unless ``cffi_extra_compile_args`` is given.
 
     Returns:
         The compiled form.
 
     Raises:
-        UnsupportedFormError: names a part of an integrand that has no meaning over points.
+        TypeError: if F is not a UFL form.
+        ValueError: if the form has no integrals, more than two arguments, or parts on different
+            meshes.
+        UnsupportedFormError: if a part of an integrand has no meaning over points. The message
+            names it.
     """
     if not isinstance(F, ufl.Form):
         raise TypeError(f"a UFL form is needed, not {type(F).__name__}: {F}")
@@ -156,7 +161,7 @@ def form(
         raise ValueError("the form has no integrals")
     arguments = F.arguments()
     if len(arguments) > 2:
-        raise ValueError(f"a form of rank 0, 1 or 2 is needed, not {len(arguments)}")
+        raise ValueError(f"a form of rank 0, 1 or 2 is needed, not of rank {len(arguments)}")
     over_points: dict[tuple[int, int | None], tuple[MaterialPoints, Any]] = {}
     ordinary_integrals = []
     by_region: dict[int, list[ufl.Integral]] = {}
@@ -178,7 +183,9 @@ def form(
                 "The points themselves are the quadrature rule."
             )
         if integral.ufl_domain() is not points.mesh.ufl_domain():
-            raise ValueError("the measure of an integral over points belongs to another mesh")
+            raise ValueError(
+                "the measure of an integral over points belongs to another mesh: use points.dx"
+            )
         for tag in selected_tags(integral):
             previous = over_points.get((id(points), tag), (points, 0))[1]
             over_points[id(points), tag] = (points, previous + integral.integrand())
@@ -226,7 +233,7 @@ def _space(argument: ufl.Argument) -> fem.FunctionSpace:
 
 
 def _check_arity(integrand: Any, arguments: Any) -> None:
-    """Every term of an integrand must be linear in each of the form's arguments."""
+    """Raise UnsupportedFormError unless every term is linear in each argument of the form."""
     try:
         real = remove_complex_nodes(integrand)
     except ValueError as error:
@@ -234,8 +241,8 @@ def _check_arity(integrand: Any, arguments: Any) -> None:
     try:
         check_integrand_arity(real, arguments)
     except (ArityMismatch, ValueError) as error:
-        # ArityMismatch is not an Exception and would pass most handlers; the ValueError is UFL's
-        # own while it words the message for sums of terms with and without arguments
+        # ArityMismatch is a BaseException and would pass most handlers. The ValueError comes from
+        # UFL itself, while it formats the message for sums of terms with and without arguments.
         reason = error if isinstance(error, ArityMismatch) else "its terms differ in rank"
         raise UnsupportedFormError(
             f"integral over points that is not linear in the arguments "
@@ -256,7 +263,7 @@ def _mesh_of(F: ufl.Form, point_sets: list[MaterialPoints], arguments: Any) -> A
 
 
 def _has_integrals(integrals: list[ufl.Integral], arguments: Any) -> bool:
-    """Whether anything is left of integrals over cells and facets, after a check of them."""
+    """Check integrals over cells and facets, and return whether any of them is not zero."""
     if not integrals:
         return False
     ordinary = ufl.Form(integrals)

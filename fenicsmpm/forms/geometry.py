@@ -17,15 +17,15 @@ from fenicsmpm.points import MaterialPoints
 def geometry_values(
     quantity: Any, points: MaterialPoints, order: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float64]:
-    """Evaluate a geometric quantity that varies within cells at points.
+    """Return the values at points of a geometric quantity that varies within cells.
 
     Args:
         quantity: one of the UFL quantities of ``lowering.POINT_GEOMETRY``.
         points: the point set.
-        order: ``(n,)`` storage indices of the points to evaluate at.
+        order: storage indices ``(n,)`` of the points.
 
     Returns:
-        ``(n, size)`` flattened values.
+        Flattened values ``(n, size)``.
     """
     name = type(quantity).__name__
     if name == "SpatialCoordinate":
@@ -41,9 +41,9 @@ def geometry_values(
 
 
 def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
-    """``(n_cells,)`` values of a quantity that is constant in each cell, by dolfinx itself.
+    """Return the ``(n_cells,)`` values of a quantity that is constant in each cell (collective).
 
-    Collective.
+    dolfinx computes the values.
 
     Args:
         quantity: UFL cell size such as ``CellVolume``.
@@ -51,7 +51,7 @@ def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
     """
     space = fem.functionspace(mesh, ("DG", 0))
     if type(quantity).__name__ == "CellVolume":
-        # exact for cells that are not affine, for which UFL has no formula
+        # The integral is also exact for non-affine cells, for which UFL has no formula.
         values = fem.assemble_vector(_jit.mesh_form(ufl.TestFunction(space) * ufl.dx)).array
     else:
         function = fem.Function(space)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PointIntegral: one lowered integral over (a subset of) a point set, ready to be evaluated."""
+"""Integrals over (a subset of) a point set, lowered and ready for evaluation."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class PointIntegral:
 
     Args:
         integrand: scalar UFL expression of rank 0, 1 or 2.
-        points: the point set; its weights are the quadrature weights.
-        tag: restrict the integral to points with this tag; None for all.
-        jit_options: see ``form``.
+        points: the point set, whose weights are the quadrature weights.
+        tag: tag of the points to which the integral is restricted. None for all points.
+        jit_options: options of the compiler; see ``form``.
 
     Raises:
-        UnsupportedFormError: see ``lowering.lower``; for averages over cells where the points'
-            grid functions have other groups.
-        ValueError: for function spaces for which these do not stand.
+        UnsupportedFormError: for the reasons of ``lowering.lower``, or for averages over cells if
+            the grid functions of the points are not those of a cell.
+        ValueError: if the grid functions of the points cannot represent a function space.
     """
 
     def __init__(
@@ -58,17 +58,17 @@ class PointIntegral:
         if tag is not None:
             self._warn_of_unknown_tag(tag)
         self.lowered = lower(integrand, points.mesh)
-        # without functions on the grid, points go by cells, whatever the ranks see around these
+        # Without functions on the grid, points are grouped by cells, which needs no ghost cells.
         by_cells = points.grid_functions is not None and not self._has_functions()
         self.stencil = LagrangeStencil(points) if by_cells else stencil_of(points)
         self.kernel = compile_pointwise(points.mesh.comm, self.lowered, jit_options)
-        # the background mesh does not move as long as it has these points
+        # The background mesh does not move as long as it has these points.
         self._cell_values = {
             id(source): cell_values(source.item, points.mesh)
             for source in self.lowered.inputs
             if type(source.item).__name__ in CELL_GEOMETRY
         }
-        # once for all fields that are computed together
+        # Fields that are computed together are updated only once.
         items = (source.item for source in self.lowered.inputs)
         self._updates = dict.fromkeys(i.update for i in items if isinstance(i, ComputedField))
         self._version: Any = None
@@ -83,7 +83,7 @@ class PointIntegral:
         return any(isinstance(space, fem.FunctionSpace) for space in spaces)
 
     def _check(self, source: Source) -> None:
-        """Raise if the points' grid functions cannot stand for those of a source."""
+        """Raise an error if the points' grid functions cannot represent those of a source."""
         has_average = np.any(source.used >= source.size // 2)
         if has_average and not self.stencil.groups_are_cells:
             raise UnsupportedFormError(
@@ -97,12 +97,12 @@ class PointIntegral:
     def _warn_of_unknown_tag(self, tag: int) -> None:
         here = bool(np.any(self.points.tag == tag))
         if not self.points.mesh.comm.allreduce(here, MPI.LOR):
-            logger.warning("no point has the tag %d of an integral: it is zero by now", tag)
+            logger.warning("no point has the tag %d of an integral: its value is zero for now", tag)
 
     # --- the selected points -----------------------------------------------------------------
 
     def refresh(self) -> None:
-        """Select points and groups anew if the points have moved or changed."""
+        """Update the selection of points and groups if the points have moved or changed."""
         tags = None if self.tag is None else self.points.tag
         key = (self.points.version, None if tags is None else tags.tobytes())
         if key != self._version:
@@ -127,11 +127,11 @@ class PointIntegral:
 
     @property
     def groups(self) -> npt.NDArray[np.int32]:
-        """``(n_groups,)`` groups with selected points."""
+        """Groups with selected points ``(n_groups,)``."""
         return self.sites.groups
 
     def active(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
-        """Local dofs of an argument's space whose functions are not zero at all points."""
+        """Return local dofs of an argument's space whose functions are not zero at all points."""
         if id(source) not in self._active:
             table = self.sites.table(source)
             dofs = self.dofs(source, space)
@@ -139,13 +139,13 @@ class PointIntegral:
             seen = np.zeros((len(self.groups), dofs.shape[1]), dtype=np.bool_)
             slots = (table.basis, table.column, table.length, table.start)
             loops.mark_seen(self.sites.offsets, self.sites.rows, *slots, least, seen)
-            if self.kernel is None:  # a form that is zero is to show as zero
+            if self.kernel is None:  # rows of a form that is zero are zero, not of the identity
                 seen[:] = True
             self._active[id(source)] = np.unique(dofs[self.groups][seen])
         return self._active[id(source)]
 
     def dofs(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
-        """``(n_groups, n_local)`` unrolled dofs of a source's space, in the slots' order."""
+        """Return the unrolled dofs ``(n_groups, n_local)`` of a source's space, in slot order."""
         key = id(source)
         if key not in self._dofs:
             assert source.layout is not None
@@ -155,11 +155,11 @@ class PointIntegral:
     # --- evaluation --------------------------------------------------------------------------
 
     def element_tensors(self) -> Iterator[tuple[slice, npt.NDArray[np.float64]]]:
-        """Element tensors, a batch of groups at a time.
+        """Yield element tensors in batches of groups.
 
         Yields:
-            The range of ``self.groups`` and the tensors, ``(n, [n_local0, [n_local1]])`` with
-            the local dofs in the slots' order.
+            The range of ``self.groups``, and the tensors ``(n, [n_local0, [n_local1]])`` with local
+            dofs in slot order.
         """
         n_local = self._local_sizes()
         for groups, element, arguments in self._batches(math.prod(n_local)):
@@ -177,8 +177,8 @@ class PointIntegral:
         """Add the element matrices of an integral of rank 2 to a matrix.
 
         Args:
-            places: see ``loops.add_matrices``; for all of ``self.groups``.
-            indptr: where the rows of the matrix begin.
+            places: places of the entries for all of ``self.groups``; see ``loops.add_matrices``.
+            indptr: start of each row of the matrix.
             fixed: marks of constrained rows and columns.
             data: values of the matrix.
         """
@@ -207,13 +207,15 @@ class PointIntegral:
         arguments = self.lowered.arguments
         values = [source.layout.value_slots(source.used) for source in arguments if source.layout]
         sites = self._integration_sites
-        # only where there is something to sum up
+        # only useful if a group has several sites
         return all(v is not None for v in values) and len(sites.rows) > len(sites.groups)
 
     def _batches(
         self, numbers: int
     ) -> Iterator[tuple[slice, Callable[..., None], tuple[Any, ...]]]:
-        """Batches of groups, function of their element tensors, and its arguments but the last.
+        """Yield batches of groups with a function of their element tensors and its arguments.
+
+        The last argument of the function, the result, is missing.
 
         Args:
             numbers: see ``Sites.batches``.
@@ -251,13 +253,13 @@ class PointIntegral:
 
     @property
     def _is_square(self) -> bool:
-        """Whether test and trial functions are the same ones, with the same slots."""
+        """Whether test and trial functions are the same, with the same slots."""
         test, trial = self.lowered.arguments
         spaces = [source.item.ufl_function_space() for source in (test, trial)]
         return spaces[0] == spaces[1] and np.array_equal(test.used, trial.used)
 
     def point_tensors(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
-        """Kernel's output at the selected points, a batch at a time.
+        """Yield the output of the kernel at the selected points, in batches.
 
         Yields:
             Storage indices ``(n,)`` of the points and tensors ``(n, *kernel.shape)``.
@@ -275,7 +277,7 @@ class PointIntegral:
         self.sites.forget_tables()  # points usually move after an evaluation
 
     def _inputs(self, sites: Sites) -> Callable[[Slices], npt.NDArray[np.float64]]:
-        """Function of a batch that returns the kernel's inputs there."""
+        """Return a function that gives the inputs of the kernel for a batch."""
         for update in self._updates:
             update()
         sources = self.lowered.inputs
@@ -284,9 +286,12 @@ class PointIntegral:
 
 
 def selected_tags(integral: ufl.Integral) -> tuple[int | None, ...]:
-    """Tags of an integral over points, each of which is an integral of its own; None for all.
+    """Return the tags of an integral over points, each for a separate integral; None means all.
 
-    UFL splits ``dx((1, 2))`` by itself up to 2024.2.
+    UFL up to 2024.2 splits ``dx((1, 2))`` by itself.
+
+    Args:
+        integral: UFL integral over points.
     """
     ids = integral.subdomain_id()
     if isinstance(ids, str):  # "everywhere"

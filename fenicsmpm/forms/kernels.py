@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pointwise form -> C function by FFCx, and how numba calls it."""
+"""Compilation of pointwise forms to C functions by FFCx, and calls of these from numba."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fenicsmpm.forms.lowering import PointwiseForm
 
 
 def processor() -> str:
-    """Short name of the instruction set, by which binaries for it are told from others."""
+    """Return a short name of the instruction set, by which its binaries can be recognized."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -31,11 +31,13 @@ def processor() -> str:
     return hashlib.sha256(flags.encode()).hexdigest()[:12]
 
 
-# Chosen by measurement on residuals and tangents of stabilized forms, straight code of up to some
-# thousand lines: reciprocals instead of divisions and free association save a third. Vectorization
-# within the code (by -O2 or -ftree-slp-vectorize) makes some kernels 5 times slower. NaN and
-# infinity keep their meaning (no -ffinite-math-only). Without "-g0", Python's own flags ask for
-# debugging information, and compilation takes up to four times as long.
+# These flags were chosen by measurements on residuals and tangents of stabilized forms, which are
+# straight-line code of up to some thousand lines.
+# - Reciprocals instead of divisions, and free association, save a third of the time.
+# - Vectorization within the code (-O2 or -ftree-slp-vectorize) makes some kernels 5 times slower.
+# - NaN and infinity keep their meaning (no -ffinite-math-only).
+# - Without "-g0", Python's own flags request debugging information, and compilation takes up to
+#   four times as long.
 COMPILE_ARGS = [
     "-O1",
     "-g0",
@@ -45,7 +47,8 @@ COMPILE_ARGS = [
     "-fno-signed-zeros",
     "-fassociative-math",
     "-freciprocal-math",
-    f"-DFENICSMPM_PROCESSOR={processor()}",  # machines that share a cache do not share binaries
+    # different machines that share a cache must not share binaries
+    f"-DFENICSMPM_PROCESSOR={processor()}",
 ]
 
 # Coordinates of the interval on which pointwise forms are compiled
@@ -54,11 +57,11 @@ COORDINATES = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 @dataclass
 class Kernel:
-    """A compiled pointwise form.
+    """Compiled pointwise form.
 
     Attributes:
-        address: of the C function ``tabulate_tensor(A, w, c, coordinates, ...)``; it adds to A,
-            shape ``(trial slots, test slots)``, and reads its inputs from c.
+        address: address of the C function ``tabulate_tensor(A, w, c, coordinates, ...)``. It adds
+            to A ``(trial slots, test slots)`` and reads its inputs from c.
         shape: shape of A: (), (test slots,) or (trial slots, test slots).
         module: CFFI module that owns the function.
     """
@@ -71,15 +74,15 @@ class Kernel:
 def compile_pointwise(
     comm: Any, lowered: PointwiseForm, jit_options: dict[str, Any]
 ) -> Kernel | None:
-    """Compile a lowered integrand, once for all ranks and from FFCx's cache if it is there.
+    """Compile a lowered integrand once for all ranks, or load it from FFCx's cache.
 
     Args:
         comm: MPI communicator (collective).
         lowered: the pointwise form.
-        jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
+        jit_options: options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
 
     Returns:
-        The kernel; None for an integrand that is zero.
+        The kernel, or None for an integrand that is zero.
     """
     if lowered.form is None:
         return None
@@ -95,8 +98,8 @@ def compile_kernel(
     Args:
         comm: MPI communicator (collective).
         form: UFL form.
-        shape: of its element tensor.
-        jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
+        shape: shape of its element tensor.
+        jit_options: options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
     """
     options = {"cffi_extra_compile_args": COMPILE_ARGS} | jit_options
     compiled, module = _jit.kernel_form(comm, form, options)
@@ -104,10 +107,10 @@ def compile_kernel(
 
 
 def _build_call(builder, address, tensor, coefficients, inputs, coordinates):  # type: ignore[no-untyped-def]
-    """Call of a kernel at an address; the others are pointers.
+    """Build the call of a kernel at an address; the other arguments are pointers.
 
-    The seventh pointer exists from FFCx 0.10 on; in the C calling conventions an argument more than
-    the callee takes is ignored.
+    FFCx has the seventh pointer since version 0.10. In the C calling conventions, a callee ignores
+    additional arguments.
     """
     pointer = ir.IntType(8).as_pointer()
     function = builder.inttoptr(address, ir.FunctionType(ir.VoidType(), [pointer] * 7).as_pointer())
@@ -120,7 +123,7 @@ def _build_call(builder, address, tensor, coefficients, inputs, coordinates):  #
 def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignore[no-untyped-def]
     """Call a kernel by its address; all four arguments are addresses (int64).
 
-    One compiled loop serves all forms that way.
+    In this way one compiled loop serves all forms.
     """
     signature = types.void(types.int64, types.int64, types.int64, types.int64)
 
@@ -136,10 +139,11 @@ def call_kernel(typingctx, address, tensor, inputs, coordinates):  # type: ignor
 
 @intrinsic
 def call_facet_kernel(typingctx, address, tensor, constants, coordinates, facets, permutations):  # type: ignore[no-untyped-def]
-    """Call a kernel of an interior facet by its address, without coefficients.
+    """Call a kernel of an interior facet, without coefficients, by its address.
 
-    All arguments are addresses (int64): of constants, of two cells' coordinates, of the two local
-    numbers of the facet (int32), and of its two permutations (uint8).
+    All arguments are addresses (int64): of the function, of its result, of the constants, of the
+    coordinates of both cells, of the two local facet numbers (int32), and of the two facet
+    permutations (uint8).
     """
     signature = types.void(*[types.int64] * 6)
 
@@ -158,9 +162,10 @@ def call_facet_kernel(typingctx, address, tensor, constants, coordinates, facets
 
 @intrinsic
 def kernel_of_nine(typingctx, address, values, inputs, coordinates):  # type: ignore[no-untyped-def]
-    """A kernel's at most nine results for nine coefficients, both as tuples of 9.
+    """Return the results of a kernel, at most nine, for nine coefficients, both as tuples of 9.
 
-    They are on the stack: no array is needed. Inputs and coordinates are addresses (int64).
+    The values are on the stack, so no array is needed. Inputs and coordinates are addresses
+    (int64).
     """
     nine = types.UniTuple(types.float64, 9)
     signature = nine(types.int64, nine, types.int64, types.int64)
@@ -180,6 +185,6 @@ def kernel_of_nine(typingctx, address, values, inputs, coordinates):  # type: ig
 
 @njit
 def evaluate_kernel(address, tensor, inputs):  # type: ignore[no-untyped-def]
-    """Set ``tensor`` to what a kernel makes of one point's inputs."""
+    """Set ``tensor`` to the output of a kernel for the inputs of one point."""
     tensor[:] = 0.0  # kernels add to their output
     call_kernel(address, tensor.ctypes.data, inputs.ctypes.data, COORDINATES.ctypes.data)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Assembly for functions that are linear within a group, such as P1 on simplices.
 
-There, gradients do not depend on the point and values do so linearly: with x0 the first point of
-the group, ``f(x) = f(x0) + (x - x0) . grad f``. So the kernel's outputs D of all points are first
-summed up, those of value slots also times x - x0, and contracted with the basis once for each
-group instead of once for each point.
+In a group, gradients do not depend on the point, and values depend on it linearly. With the first
+point x0 of the group, ``f(x) = f(x0) + (x - x0) . grad f``. Therefore the outputs D of the kernel
+are first summed over all points, and for value slots also times x - x0. The contraction with the
+basis then takes place once for each group instead of once for each point.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -18,15 +18,15 @@ from fenicsmpm.forms.loops import contract_matrix, contract_vector
 
 
 def with_moments(table, values, dim):
-    """Slots of a table followed by the gradient slots that belong to its value slots.
+    """Return the slots of a table, followed by the gradient slots that belong to its value slots.
 
     Args:
         table: a ``SlotTable`` whose gradient rows follow its value rows.
-        values: ``(n,)`` positions of the value slots within the used slots.
+        values: positions ``(n,)`` of the value slots within the used slots.
         dim: space dimension.
 
     Returns:
-        basis, column, length, start of the extended slots.
+        basis, column, length and start of the extended slots.
     """
     rows = np.arange(1, dim + 1)
     length = table.length[values]
@@ -43,7 +43,7 @@ def with_moments(table, values, dim):
 def gather_function(
     values, dofs, groups, offsets, rows, is_value, basis, column, length, start, inputs, first
 ):
-    """As ``loops.gather_function``; in a group, only slots with ``is_value`` vary."""
+    """Gather slots as ``loops.gather_function``; in a group, only slots with ``is_value`` vary."""
     for i in numba.prange(len(groups)):
         local = values[dofs[groups[i]]]
         slots = np.zeros(len(column))
@@ -63,7 +63,7 @@ def element_vectors(
     address, offsets, weights, rows, inputs, x, values,
     basis, column, length, start, result,
 ):  # fmt: skip
-    """As ``loops.element_vectors``; x ``(n_points, d)`` positions, extended slots."""
+    """Compute ``loops.element_vectors`` with positions x ``(n_points, d)`` and extended slots."""
     dim = x.shape[1]
     n0 = len(column) - dim * len(values)
     for i in numba.prange(len(offsets) - 1):
@@ -87,7 +87,7 @@ def element_matrices(
     address, offsets, weights, rows, inputs, x, values0, values1,
     basis0, column0, length0, start0, basis1, column1, length1, start1, result,
 ):  # fmt: skip
-    """As ``matrix_loops.element_matrices``; x ``(n_points, d)`` positions, extended slots."""
+    """Compute ``matrix_loops.element_matrices`` with positions x and extended slots."""
     dim = x.shape[1]
     n0 = len(column0) - dim * len(values0)
     n1 = len(column1) - dim * len(values1)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The numba loops of assembly: gather inputs, call the kernel, contract, scatter.
+"""Numba loops of assembly, which gather inputs, call the kernel, contract and scatter.
 
-Arrays over points are in group order; ``rows`` leads from a selected point to its table row.
-Groups are processed in parallel into element tensors, which are added up serially: the result
-does not depend on the number of threads.
+Arrays over points are in group order. ``rows`` maps a selected point to its row of the table.
+Groups are processed in parallel into element tensors, which are then added serially. Therefore the
+result does not depend on the number of threads.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -19,19 +19,19 @@ from fenicsmpm.forms.kernels import call_facet_kernel, evaluate_kernel
 def gather_function(
     values, dofs, groups, offsets, rows, basis, column, length, start, inputs, first
 ):
-    """Slots of a function at the points of some groups into ``inputs[:, first:]``.
+    """Write the slots of a function at the points of some groups to ``inputs[:, first:]``.
 
     Args:
-        values: ``(n_dofs,)`` local coefficient vector, ghosts included.
-        dofs: ``(n_all_groups, n_local)``.
-        groups: ``(n_groups,)`` the groups to do.
-        offsets: ``(n_groups + 1,)`` their ranges of points within ``rows``.
+        values: local coefficient vector ``(n_dofs,)``, ghosts included.
+        dofs: local dofs of all groups ``(n_all_groups, n_local)``.
+        groups: groups to process ``(n_groups,)``.
+        offsets: ranges of their points within ``rows`` ``(n_groups + 1,)``.
         rows: table row of each point.
-        basis: ``(n_table, n_columns)`` table.
+        basis: table ``(n_table, n_columns)``.
         column: first column of each slot.
         length: number of grid functions of each slot.
         start: first local dof of each slot.
-        inputs: ``(n_points of these groups, n_inputs)`` result.
+        inputs: result ``(n_points of these groups, n_inputs)``.
         first: first column of the result.
     """
     for i in numba.prange(len(groups)):
@@ -47,14 +47,14 @@ def gather_function(
 
 @njit(parallel=True)
 def evaluate_points(address, inputs, tensors):
-    """Kernel's output at each point, ``tensors (n_points, n)``, zeroed first."""
+    """Set ``tensors (n_points, n)`` to the output of a kernel at each point."""
     for k in numba.prange(len(inputs)):
         evaluate_kernel(address, tensors[k], inputs[k])
 
 
 @njit
 def put_rows(result, rows, values, first):
-    """``result[rows] = values[:, first:first + n_columns]``, a row at once."""
+    """Set ``result[rows] = values[:, first:first + n_columns]`` row by row."""
     for k in range(len(rows)):
         for c in range(result.shape[1]):
             result[rows[k], c] = values[k, first + c]
@@ -62,7 +62,7 @@ def put_rows(result, rows, values, first):
 
 @njit(parallel=True)
 def element_scalars(address, offsets, weights, inputs, result):
-    """Integral over each group's points into ``result (n_groups,)``."""
+    """Set ``result (n_groups,)`` to the integral over the points of each group."""
     for i in numba.prange(len(offsets) - 1):
         tensor = np.empty(1)
         result[i] = 0.0
@@ -73,7 +73,7 @@ def element_scalars(address, offsets, weights, inputs, result):
 
 @njit(parallel=True)
 def element_vectors(address, offsets, weights, rows, inputs, basis, column, length, start, result):
-    """b_K = sum_p V_p B^T D into ``result (n_groups, n_local)``."""
+    """Set ``result (n_groups, n_local)`` to b_K = sum_p V_p B^T D."""
     n_slots = len(column)
     for i in numba.prange(len(offsets) - 1):
         tensor = np.empty(n_slots)
@@ -96,7 +96,7 @@ def contract_vector(tensor, weight, row, column, length, start, result):
 def contract_matrix(
     tensor, weight, row0, column0, length0, start0, row1, column1, length1, start1, half, result
 ):
-    """Add weight B0^T D B1 with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
+    """Add weight B0^T D B1, with ``tensor`` = D^T and the work array ``half`` = (D B1)^T."""
     n0 = len(column0)
     half[:] = 0.0
     for t in range(len(column1)):
@@ -117,7 +117,8 @@ def contract_matrix(
 def mark_seen(offsets, rows, basis, column, length, start, least, seen):
     """Mark local dofs ``seen (n_groups, n_local)`` whose functions are not zero at all points.
 
-    They are zero where they are smaller than ``least (n_groups,)`` of the largest one.
+    A function counts as zero at a point if it is smaller than ``least (n_groups,)`` times the
+    largest one.
     """
     for i in range(len(offsets) - 1):
         for k in range(offsets[i], offsets[i + 1]):
@@ -144,12 +145,12 @@ def add_matrices(matrices, dofs0, dofs1, groups, places, indptr, fixed0, fixed1,
     """Add element matrices to CSR data, without constrained rows and columns.
 
     Args:
-        matrices: ``(n_groups, n_local0, n_local1)``.
-        dofs0: ``(n_all_groups, n_local0)`` rows.
-        dofs1: ``(n_all_groups, n_local1)`` columns.
-        groups: ``(n_groups,)``.
-        places: ``(n_groups, n, n_local1)`` of each entry within its row, see ``csr_places``.
-        indptr: where rows begin in ``data``.
+        matrices: element matrices ``(n_groups, n_local0, n_local1)``.
+        dofs0: rows ``(n_all_groups, n_local0)``.
+        dofs1: columns ``(n_all_groups, n_local1)``.
+        groups: groups of the matrices ``(n_groups,)``.
+        places: place of each entry within its row ``(n_groups, n, n_local1)``; see ``csr_places``.
+        indptr: start of each row in ``data``.
         fixed0: uint8 marks of constrained rows.
         fixed1: uint8 marks of constrained columns.
         data: CSR values.
@@ -187,9 +188,9 @@ def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
 
 @njit
 def rows_repeat(indptr, indices, dofs0, groups, n):
-    """Whether rows of some groups' matrices have the columns of the n-th row before them.
+    """Return whether each row of element matrices has the same columns as the n-th row before it.
 
-    That is so for parts of a mixed space, one after the other, of which n functions are seen.
+    This is the case for a mixed space whose parts all have the same n functions in a group.
     """
     for i in range(len(groups)):
         for a in range(n, dofs0.shape[1]):
@@ -206,19 +207,20 @@ def rows_repeat(indptr, indices, dofs0, groups, n):
 
 @njit
 def csr_places(indptr, indices, dofs0, dofs1, groups, places):
-    """Place of each entry of some groups' element matrices within its row of a CSR matrix.
+    """Find the place of each element matrix entry within its row of a CSR matrix.
 
     Args:
-        indptr: where rows begin.
+        indptr: start of each row.
         indices: columns, ascending in each row.
-        dofs0: ``(n_all_groups, n_local0)`` rows.
-        dofs1: ``(n_all_groups, n_local1)`` columns.
-        groups: ``(n_groups,)``.
-        places: ``(n_groups, n, n_local1)`` result for the first n rows, which are those of all if
-            ``rows_repeat``; unsigned, as numba checks signed indices for negative values.
+        dofs0: rows ``(n_all_groups, n_local0)``.
+        dofs1: columns ``(n_all_groups, n_local1)``.
+        groups: groups to process ``(n_groups,)``.
+        places: result ``(n_groups, n, n_local1)`` for the first n rows, which are valid for all
+            rows if ``rows_repeat``. Its type is unsigned, as numba checks signed indices for
+            negative values.
 
     Returns:
-        Whether the pattern has a place for all of them.
+        Whether the pattern has a place for all entries.
     """
     for i in range(len(groups)):
         columns = dofs1[groups[i]]
@@ -228,7 +230,7 @@ def csr_places(indptr, indices, dofs0, dofs1, groups, places):
             first, last = indptr[row], indptr[row + 1]
             k = first
             for b in ascending:
-                # rows hold little more than these columns, so the next one is near
+                # rows have few other columns, so the next one is near
                 while k < last and indices[k] < columns[b]:
                     k += 1
                 if k == last or indices[k] != columns[b]:
@@ -239,7 +241,7 @@ def csr_places(indptr, indices, dofs0, dofs1, groups, places):
 
 @njit
 def diagonal_positions(indptr, indices, result):
-    """Position of the diagonal entry of each of the first rows of a CSR matrix."""
+    """Find the position of the diagonal entry in each of the first rows of a CSR matrix."""
     for row in range(len(result)):
         first, last = indptr[row], indptr[row + 1]
         result[row] = first + np.searchsorted(indices[first:last], row)
@@ -250,24 +252,24 @@ def add_facet_matrices(
     addresses, constants, entities, x, nodes, dofs0, dofs1, permutations, fixed0, fixed1,
     indptr, indices, data,
 ):  # fmt: skip
-    """Add matrices of interior facets to CSR data, but for constrained rows and columns.
+    """Add matrices of interior facets to CSR data, without constrained rows and columns.
 
-    Entries that are zero are left out: most are, as only components of the same name meet.
+    Zero entries are skipped. Most entries are zero, as only components of the same name interact.
 
     Args:
-        addresses: ``(n_kernels,)`` of functions without coefficients.
-        constants: ``(n,)`` of these functions, at least one number.
-        entities: ``(n_facets, 4)`` cell and local facet on both sides.
-        x: ``(n_nodes, 3)`` positions.
-        nodes: ``(n_cells, n_corners)`` of the cells.
-        dofs0: ``(n_cells, n_local)`` unrolled test dofs.
-        dofs1: the same of trial functions.
-        permutations: ``(n_cells, facets of a cell)`` of the facets.
-        fixed0: ``(n_dofs,)`` 1 for constrained rows.
-        fixed1: the same of columns.
-        indptr: of the matrix.
-        indices: of the matrix, ascending in each row.
-        data: of the matrix.
+        addresses: addresses ``(n_kernels,)`` of kernels without coefficients.
+        constants: constants ``(n,)`` of these kernels, at least one number.
+        entities: cell and local facet on both sides ``(n_facets, 4)``.
+        x: node positions ``(n_nodes, 3)``.
+        nodes: nodes of the cells ``(n_cells, n_corners)``.
+        dofs0: unrolled test dofs ``(n_cells, n_local)``.
+        dofs1: unrolled trial dofs ``(n_cells, n_local)``.
+        permutations: facet permutations ``(n_cells, facets of a cell)``.
+        fixed0: 1 for constrained rows ``(n_dofs,)``.
+        fixed1: 1 for constrained columns ``(n_dofs,)``.
+        indptr: start of each row of the matrix.
+        indices: columns of the matrix, ascending in each row.
+        data: values of the matrix.
 
     Returns:
         Whether the pattern has a place for all entries.
@@ -314,7 +316,7 @@ def add_facet_matrices(
 
 @njit
 def add_rows(from_indptr, from_columns, values, indptr, indices, data):
-    """Add the first rows of one CSR matrix to those of another with at least its pattern."""
+    """Add the first rows of one CSR matrix to those of another whose pattern contains them."""
     for row in range(len(from_indptr) - 1):
         columns = indices[indptr[row] : indptr[row + 1]]
         for k in range(from_indptr[row], from_indptr[row + 1]):
@@ -323,7 +325,7 @@ def add_rows(from_indptr, from_columns, values, indptr, indices, data):
 
 @njit
 def average_groups(table, weights, offsets):
-    """Weighted average of table rows over the points of each group, one row a point."""
+    """Return the weighted averages of table rows over the points of groups, one row per point."""
     result = np.empty_like(table)
     for i in range(len(offsets) - 1):
         mean = np.zeros(table.shape[1])
@@ -339,9 +341,12 @@ def average_groups(table, weights, offsets):
 
 
 def equal_rows(indptr, indices):
-    """Rows of a sparse pattern, those with the same columns together, and where each set begins.
+    """Sort the rows of a sparse pattern so that rows with the same columns are together.
 
-    Columns are sorted in each row.
+    Columns must be sorted in each row.
+
+    Returns:
+        The order of the rows, and the start of each set of equal rows in it.
     """
     keys = np.empty(len(indptr) - 1, dtype=np.uint64)
     _digests(indptr, indices, keys)
@@ -360,7 +365,7 @@ def _digests(indptr, indices, keys):
 
 @njit
 def _differs(indptr, indices, order):
-    """Whether a row is another one than that before it in the order."""
+    """Return whether each row differs from the row before it in the order."""
     result = np.ones(len(order), dtype=np.bool_)
     for i in range(1, len(order)):
         a, b = order[i - 1], order[i]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Integrand over material points -> pointwise form over slots.
+"""Lowering of an integrand over material points to a pointwise form over slots.
 
-Everything in a UFL integrand that depends on the point (arguments, coefficients, their gradients
-and averages, geometry) is replaced by components of three vectors: the slots of the test
-function, the slots of the trial function and the inputs. What remains is algebra, which FFCx
+Some parts of a UFL integrand depend on the point: arguments, coefficients, their gradients and
+averages, and geometry. These parts are replaced by components of three vectors, the slots of the
+test function, the slots of the trial function and the inputs. The rest is algebra, which FFCx
 compiles as a form with one quadrature point on an interval of length one.
 """
 
@@ -51,8 +51,8 @@ from fenicsmpm.forms.errors import UnsupportedFormError
 from fenicsmpm.forms.slots import SIMPLICES, Layout
 from fenicsmpm.points.point_field import PointField
 
-# The pointwise form lives on an interval that is only an excuse to compile it: with coordinates
-# 0 and 1 its Jacobian is one.
+# FFCx needs a mesh to compile the pointwise form. This interval serves the purpose: with the
+# coordinates 0 and 1 its Jacobian is one.
 INTERVAL = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))
 ONE_POINT = {
     "quadrature_rule": "custom",
@@ -60,9 +60,9 @@ ONE_POINT = {
     "quadrature_weights": (1.0,),
 }
 
-# Geometry with a value at each point ...
+# Geometry that varies within cells
 POINT_GEOMETRY = ("SpatialCoordinate", "Jacobian", "JacobianInverse", "JacobianDeterminant")
-# ... and with one in each cell.
+# Geometry that is constant in each cell
 CELL_GEOMETRY = (
     "CellVolume",
     "Circumradius",
@@ -74,13 +74,14 @@ CELL_GEOMETRY = (
 
 @dataclass
 class Source:
-    """One argument, coefficient, constant or geometric quantity and its slots in use.
+    """Argument, coefficient, constant or geometric quantity, and the slots of it that are used.
 
     Attributes:
         item: the UFL object.
         placeholder: vector that stands for all its slots during lowering.
-        layout: of its space, None where slots are plain components.
-        used: slot numbers that the form needs (set at the end of lowering).
+        layout: layout of its space. None if the slots are plain components.
+        size: number of its slots.
+        used: numbers of the slots that the form needs, set at the end of lowering.
     """
 
     item: Any
@@ -92,15 +93,17 @@ class Source:
 
 @dataclass
 class PointwiseForm:
-    """A lowered integrand.
+    """Lowered integrand.
 
     Attributes:
-        form: UFL form for FFCx; its arguments are (trial slots, test slots), that order. None if
-            the integrand is zero, such as second gradients of linear functions.
+        form: UFL form for FFCx, with the arguments (trial slots, test slots) in this order. None if
+            the integrand is zero, for example due to second gradients of linear functions.
         arguments: test and trial sources, in the order of argument numbers.
-        inputs: all other sources; their used slots, one after the other, are the input vector.
-        degree: of the integrand as a polynomial in the position of the point within its group;
-            infinite if it is none, or has inputs other than linear functions and constants.
+        inputs: all other sources. Their used slots, one source after the other, form the input
+            vector.
+        degree: polynomial degree of the integrand in the position of the point within its group.
+            Infinite if it is not a polynomial, or has inputs other than linear functions and
+            constants.
     """
 
     form: ufl.Form | None
@@ -114,10 +117,14 @@ def lower(integrand: Any, mesh: Any) -> PointwiseForm:
 
     Args:
         integrand: scalar UFL expression.
-        mesh: dolfinx mesh on which the points live.
+        mesh: dolfinx mesh of the points.
+
+    Returns:
+        The pointwise form.
 
     Raises:
-        UnsupportedFormError: names the part of the integrand that has no meaning over points.
+        UnsupportedFormError: if a part of the integrand has no meaning over points. The message
+            names it.
     """
     lowering = _Lowering(mesh)
     # expand_derivatives works on forms, whatever the measure
@@ -128,7 +135,7 @@ def lower(integrand: Any, mesh: Any) -> PointwiseForm:
 
 
 class _Lowering:
-    """State of one lowering: the sources found so far and the memo of rewritten nodes."""
+    """State of a lowering: the sources found so far, and the memo of rewritten nodes."""
 
     def __init__(self, mesh: Any) -> None:
         self.mesh = mesh
@@ -174,7 +181,7 @@ class _Lowering:
         return node._ufl_expr_reconstruct_(*operands)
 
     def _differentiated(self, node: Any, average: bool) -> Any:
-        """Slots of grad(grad(...f)) with a terminal f."""
+        """Return the slots of grad(grad(...f)) for a terminal f."""
         depth = 0
         terminal = node
         while isinstance(terminal, Grad):
@@ -195,11 +202,11 @@ class _Lowering:
         return self._terminal(terminal, (self.dim,) * depth, average)
 
     def _average(self, node: Any) -> Any:
-        """Average of an expression over the points of a group, by linearity."""
+        """Return the average of an expression over the points of a group, by linearity."""
         if isinstance(node, Grad):
             return self._differentiated(node, average=True)
         if isinstance(node, Variable | Conj | Real | CellAvg):
-            # a CellAvg inside: the average of an average is the average
+            # For CellAvg: the average of an average is the average.
             return self._average(node.ufl_operands[0])
         if node._ufl_is_terminal_:
             return self._terminal(node, (), average=True)
@@ -209,7 +216,7 @@ class _Lowering:
         if isinstance(node, Indexed | ComponentTensor | IndexSum):
             return node._ufl_expr_reconstruct_(self._average(operands[0]), operands[1])
         if isinstance(node, Product):
-            # not by the operator *, which would sum over an index that both factors have
+            # The operator * would sum over an index that both factors have.
             a, b = operands
             if _is_uniform(a):
                 return node._ufl_expr_reconstruct_(self.memo[a], self._average(b))
@@ -230,7 +237,10 @@ class _Lowering:
             return self._grid_function(item, derivative, average)
         if isinstance(item, PointField):
             if item.points.mesh.ufl_domain() is not self.mesh.ufl_domain():
-                raise UnsupportedFormError(f"point field of points on another mesh: {item}")
+                raise UnsupportedFormError(
+                    f"point field of points on another mesh: {item}. Use points on the mesh of "
+                    "the integral."
+                )
             return self._plain(item, item.ufl_shape, average)
         if isinstance(item, ufl.Constant):
             if not isinstance(item, fem.Constant):
@@ -261,7 +271,7 @@ class _Lowering:
             raise UnsupportedFormError(f"argument of a MixedFunctionSpace: {item}")
         if space.ufl_domain() is not self.mesh.ufl_domain():
             raise UnsupportedFormError(
-                f"function on another mesh than the points': {item} in {space}. "
+                f"function on another mesh than that of the points: {item} in {space}. "
                 "Define the space on the points' background mesh."
             )
         if isinstance(item, Coefficient) and not isinstance(item, fem.Function):
@@ -287,7 +297,7 @@ class _Lowering:
         return _as_tensor(components.reshape(shape))
 
     def _plain(self, item: Any, shape: tuple[int, ...], average: bool) -> Any:
-        """Slots without grid functions: the components, and after them their averages."""
+        """Return slots without grid functions: the components, followed by their averages."""
         size = int(np.prod(shape, dtype=int))
         source = self.sources.get(item) or self._add(item, None, 2 * size)
         components = np.array(
@@ -307,7 +317,7 @@ class _Lowering:
     # --- compression -------------------------------------------------------------------------
 
     def finish(self, expression: Any) -> PointwiseForm:
-        """Drop the slots that the expression does not use and build the form for FFCx."""
+        """Drop unused slots, and build the form for FFCx."""
         by_placeholder = {source.placeholder: source for source in self.sources.values()}
         found: dict[Any, set[int]] = {p: set() for p in by_placeholder}
         nodes = list(unique_post_traversal(expression))
@@ -327,8 +337,8 @@ class _Lowering:
         ]
         replacement: dict[Any, tuple[Any, dict[int, int]]] = {}
         for source in arguments:
-            # FFCx numbers rows by argument 0: trial slots first gives D transposed, which the
-            # assembly contracts with unit stride
+            # Rows in FFCx belong to argument 0. With the trial slots as argument 0 the result is D
+            # transposed, which the assembly contracts with unit stride.
             number = len(arguments) - 1 - source.item.number()
             vector = _slot_argument(len(source.used), number)
             replacement[source.placeholder] = (vector, _positions(source.used, 0))
@@ -366,7 +376,7 @@ def _require_float64(item: Any, dtype: Any) -> None:
 
 
 def _degree_of_slot(source: Source, node: Any) -> float:
-    """Degree of a component of a placeholder in the point's position within its group."""
+    """Return the degree of a placeholder component in the point's position within its group."""
     layout = source.layout
     if layout is None:
         is_uniform = type(source.item).__name__ in CELL_GEOMETRY
@@ -398,7 +408,7 @@ def _is_simplex(element: Any) -> bool:
 
 
 def _is_uniform(expression: Any) -> bool:
-    """Whether an expression has the same value at all points of a group."""
+    """Return whether an expression has the same value at all points of a group."""
     return all(
         isinstance(t, ufl.Constant | ufl.classes.ConstantValue | MultiIndex)
         or type(t).__name__ in CELL_GEOMETRY

@@ -2,10 +2,11 @@
 """Element matrices A_K = sum_p V_p B0^T D B1 by products of small matrices in registers.
 
 For each pair of a test and a trial component, the terms of all slots and of several points of a
-group are one product of two factors: the functions of the component with fewer slots, and D times
-those of the other. So some blocks of the matrix are found transposed. Where D is symmetric, a pair
-of components is the mirror image of another one. Blocks of 4 x 16 entries of the product are summed
-up in registers. Entries of D that are zero, such as couplings of values to gradients, are skipped.
+group are computed as one product of two factors. One factor contains the functions of the component
+with fewer slots, the other D times the functions of the other component. Therefore some blocks of
+the matrix are computed transposed. If D is symmetric, the block of a pair of components is the
+mirror image of another one. Blocks of 4 x 16 entries of the product are accumulated in registers.
+Zero entries of D, such as those that couple values to gradients, are skipped.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -18,15 +19,16 @@ from fenicsmpm.forms.kernels import evaluate_kernel
 from fenicsmpm.forms.loops import add_matrices
 from fenicsmpm.lanes import LANES, add_scaled, load, number_at, store, zeros
 
-# Points of a group whose terms go into one product: the factors then stay in the first cache
+# Number of points whose terms go into one product, such that the factors stay in the L1 cache
 _POINTS = 8
-# Rows of a product that are summed up at once
+# Number of rows of a product that are accumulated at once
 _ROWS = 4
-# Numbers in element matrices of a thread that are added up at once: they stay in the second cache
+# Number of entries in the element matrices of a thread that are added at once, such that they stay
+# in the L2 cache
 _NUMBERS = 1 << 17
-# Difference of numbers that are equal but for round-off, relative to the largest of them
+# Difference of numbers that are equal up to round-off, relative to the largest of them
 _ROUND_OFF = 1e-13
-# How the block of a pair of components is found: as it is, transposed, or as a mirror image
+# How the block of a pair of components is computed: directly, transposed, or as a mirror image
 _DIRECT, _TRANSPOSED, _MIRRORED = 0, 1, 2
 
 
@@ -48,10 +50,10 @@ def element_matrices(
     start1,
     result,
 ):
-    """A_K = sum_p V_p B0^T D B1 into ``result (n_groups, n_local0, n_local1)``.
+    """Set ``result (n_groups, n_local0, n_local1)`` to A_K = sum_p V_p B0^T D B1.
 
-    The kernel's output is D transposed: ``tensor[trial slot, test slot]``. Slot s of the test
-    functions is ``basis0[row, column0[s]:][:length0[s]]`` on dofs from ``start0[s]`` on;
+    The output of the kernel is D transposed, ``tensor[trial slot, test slot]``. Slot s of the test
+    functions is ``basis0[row, column0[s]:][:length0[s]]`` on the dofs from ``start0[s]`` on.
     ``is_same`` says that test and trial functions have the same slots.
     """
     n0, n1 = len(column0), len(column1)
@@ -142,9 +144,9 @@ def add_element_matrices(
     data,
     threads,
 ):
-    """Add element matrices to CSR data, some at a time so that they stay in the second cache.
+    """Add element matrices to CSR data, in batches that stay in the L2 cache.
 
-    Arguments are those of ``element_matrices`` and of ``loops.add_matrices``.
+    The arguments are those of ``element_matrices`` and of ``loops.add_matrices``.
     """
     size = dofs0.shape[1] * dofs1.shape[1]
     some = max(1, _NUMBERS // size) * threads
@@ -164,13 +166,13 @@ def add_element_matrices(
 
 @njit
 def _up(n):
-    """The next number of rows of a product."""
+    """Round a number of rows up to the next multiple of ``_ROWS``."""
     return (n + _ROWS - 1) // _ROWS * _ROWS
 
 
 @njit
 def _runs(start):
-    """Where slots on the same dofs begin, one after the other, and the end."""
+    """Return the starts of runs of slots on the same dofs, and the end."""
     result = [0]
     for s in range(1, len(start)):
         if start[s] != start[s - 1]:
@@ -181,7 +183,7 @@ def _runs(start):
 
 @njit
 def _are_all(runs, start, length, n):
-    """Whether runs of slots are on all n dofs, each once.
+    """Return whether runs of slots cover all n dofs, each once.
 
     Slots of averages are on the same dofs as those of values, so the answer is no if both are used.
     """
@@ -195,7 +197,7 @@ def _are_all(runs, start, length, n):
 
 @njit
 def _pairs(tensors, runs0, runs1, is_same):
-    """``(n_test, n_trial)`` how the block of each pair of components is found."""
+    """Return ``(n_test, n_trial)`` how the block of each pair of components is computed."""
     result = np.empty((len(runs0) - 1, len(runs1) - 1), dtype=np.int8)
     for m0 in range(len(runs0) - 1):
         for m1 in range(len(runs1) - 1):
@@ -210,7 +212,7 @@ def _pairs(tensors, runs0, runs1, is_same):
 
 @njit
 def _is_mirrored(tensors, runs, m0, m1):
-    """Whether D of two components is the transpose of D of these the other way round."""
+    """Return whether D of two components is the transpose of D of the swapped components."""
     largest = difference = 0.0
     for tensor in tensors:
         for s in range(runs[m0], runs[m0 + 1]):
@@ -222,7 +224,7 @@ def _is_mirrored(tensors, runs, m0, m1):
 
 @njit
 def _gather(row, column, length, functions, first, width):
-    """Functions of all slots at a point into rows of eight, from slot number ``first`` on."""
+    """Copy the functions of all slots at a point to rows of eight, from slot ``first`` on."""
     for s in range(len(column)):
         begin = (first + s) * width
         line = functions[begin : begin + width].reshape(width * LANES)
@@ -232,16 +234,16 @@ def _gather(row, column, length, functions, first, width):
 
 @njit
 def _factor(tensors, functions, slots0, slots1, width, product, terms):
-    """Rows D B1 of some slots and points into ``product``, but for those that are zero.
+    """Write the nonzero rows D B1 of some slots and points to ``product``.
 
     Args:
-        tensors: ``[point, slot of the factor, slot]``.
+        tensors: D as ``[point, slot of B1, slot of the other factor]``.
         functions: B1.
         slots0: slots of the other factor.
         slots1: slots of B1.
-        width: of B1 in rows of eight.
-        product: to overwrite.
-        terms: to overwrite by the lines of the other factor that belong to the rows.
+        width: width of B1 in rows of eight.
+        product: result, overwritten.
+        terms: overwritten by the lines of the other factor that belong to the rows.
 
     Returns:
         The number of rows.
@@ -268,7 +270,7 @@ def _factor(tensors, functions, slots0, slots1, width, product, terms):
 
 @njit
 def _write(block, width, is_only, target):
-    """Set a part of a matrix to a block without padding, or add it if it is not the only one."""
+    """Write a block without padding to a part of a matrix; add it unless ``is_only``."""
     numbers = block.reshape(block.size)
     for a in range(target.shape[0]):
         line = numbers[a * width * LANES :]
@@ -284,7 +286,7 @@ def _write(block, width, is_only, target):
 def _add_product(left, left_width, right, width, terms, n, height, block):
     """Add L^T R of n terms to a block of ``height`` times ``width`` rows of eight.
 
-    Eight sums at once: as many as it takes until a processor has added the first product.
+    Eight sums are accumulated at once, which hides the latency of additions.
     """
     for a in range(0, height, _ROWS):
         for r in range(0, width - 1, 2):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Assembly into PETSc objects, with the names and habits of ``dolfinx.fem.petsc``."""
+"""Assembly into PETSc objects, with the names and conventions of ``dolfinx.fem.petsc``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fenicsmpm._garbage import lasting
 from fenicsmpm.forms import assembly
 from fenicsmpm.forms.form import Form
 
-# Attribute of a PETSc matrix: the MatrixCSR in which it is assembled, before rows are handed over
+# Attribute of a PETSc matrix: the MatrixCSR into which it is assembled before the rows are copied
 _WORK = "fenicsmpm_work"
 
 __all__ = [
@@ -32,7 +32,11 @@ __all__ = [
 
 
 def create_vector(L: Form) -> PETSc.Vec:
-    """Create a ghosted vector for a form of rank 1, filled with zeros."""
+    """Create a ghosted vector for a form of rank 1, filled with zeros.
+
+    Args:
+        L: compiled form.
+    """
     dofmap = L.function_spaces[0].dofmap
     index_map, bs = dofmap.index_map, dofmap.index_map_bs
     size = (index_map.size_local * bs, index_map.size_global * bs)
@@ -47,12 +51,16 @@ def assemble_vector(
 
     Args:
         L: compiled form.
-        b: vector to add to; None for a new one.
-        sizes: vector to which the absolute values of what is summed up are added.
+        b: vector to add to. None for a new one.
+        sizes: vector to which the absolute values of the summed terms are added.
 
     Returns:
-        The vector; after lifting, add up the ghosts with ``b.ghostUpdate(InsertMode.ADD,
-        ScatterMode.REVERSE)`` as in dolfinx.
+        The vector. After lifting, add up the ghosts with
+        ``b.ghostUpdate(InsertMode.ADD, ScatterMode.REVERSE)`` as in dolfinx.
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank.
     """
     assembly._check(L, 1)
     b = create_vector(L) if b is None else b
@@ -66,11 +74,15 @@ def assemble_vector(
 
 
 def create_matrix(a: Form, compact: bool = False) -> PETSc.Mat:
-    """Create a matrix for a form of rank 2.
+    """Create a matrix for a form of rank 2 (collective).
 
     Args:
         a: compiled form.
         compact: see ``fenicsmpm.forms.create_matrix``.
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank.
     """
     A = assembly.create_matrix(a, compact)
     maps = [V.dofmap.index_map for V in a.function_spaces]
@@ -91,16 +103,20 @@ def assemble_matrix(
     diag: float = 1.0,
     A: PETSc.Mat | None = None,
 ) -> PETSc.Mat:
-    """Assemble a form of rank 2, see ``fenicsmpm.forms.assemble_matrix``.
+    """Assemble a form of rank 2 (collective); see ``fenicsmpm.forms.assemble_matrix``.
 
     Args:
         a: compiled form.
         bcs: Dirichlet conditions.
         diag: diagonal entry of constrained degrees of freedom.
-        A: matrix to overwrite, from ``create_matrix``; None for a new one.
+        A: matrix to overwrite, from ``create_matrix``. None for a new one.
 
     Returns:
         The assembled matrix.
+
+    Raises:
+        TypeError: if the form is not compiled by ``form``.
+        ValueError: if the form has another rank, or the matrix was created for another form.
     """
     A = create_matrix(a) if A is None else A
     work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a, A))
@@ -112,22 +128,29 @@ def assemble_matrix(
 
 
 def inactive_dofs(a: Form, A: PETSc.Mat) -> npt.NDArray[np.int32]:
-    """What ``fenicsmpm.forms.inactive_dofs`` finds, without a matrix of its own.
+    """Return ``fenicsmpm.forms.inactive_dofs`` without creating a new matrix (collective).
 
     Args:
         a: compiled form of rank 2.
-        A: its matrix, from ``create_matrix``. Its values stay, those where it is assembled do not.
+        A: its matrix, from ``create_matrix``. The values of A stay the same, but those of its work
+            matrix are overwritten.
+
+    Returns:
+        Owned local indices, unrolled, ``(n,)``.
     """
     return assembly.inactive_dofs(a, _work_matrix(a, A))
 
 
 def unreached_rows(A: PETSc.Mat) -> npt.NDArray[np.int64]:
-    """Owned local rows that are of the identity because no integral reached them.
+    """Return the owned local rows that no integral reached and that are rows of the identity.
 
-    Constrained ones may be among them.
+    Constrained rows may be among them.
 
     Args:
-        A: matrix of ``assemble_matrix``, of a form with equal spaces.
+        A: matrix from ``assemble_matrix``, of a form with equal spaces.
+
+    Returns:
+        Owned local indices, unrolled, ``(n,)``.
     """
     return assembly._unreached[A.getAttr(_WORK)]
 
@@ -139,14 +162,14 @@ def apply_lifting(
     x0: Sequence[PETSc.Vec] | None = None,
     alpha: float = 1.0,
 ) -> None:
-    """Subtract ``alpha * A (g - x0)``, see ``fenicsmpm.forms.apply_lifting``.
+    """Subtract ``alpha * A (g - x0)``; see ``fenicsmpm.forms.apply_lifting``.
 
     Args:
-        b: vector, ghosts not yet sent to their owners.
+        b: vector, whose ghosts have not been sent to their owners yet.
         a: compiled forms of rank 2.
         bcs: Dirichlet conditions on the trial space of each form.
-        x0: current solutions with up-to-date ghosts.
-        alpha: factor.
+        x0: current solutions with up-to-date ghosts. None for zero.
+        alpha: factor [-].
     """
     arrays = None
     if x0 is not None:
@@ -169,8 +192,8 @@ def set_bc(
     Args:
         b: vector.
         bcs: Dirichlet conditions.
-        x0: vector of which owned entries are taken; None for zero.
-        alpha: factor.
+        x0: vector x0, of which owned entries are used. None for zero.
+        alpha: factor [-].
     """
     for bc in bcs:
         _compat.bc_set(bc, b.array_w, None if x0 is None else x0.array_r, alpha)

@@ -17,45 +17,52 @@ from fenicsmpm.forms import loops
 
 
 class Region(Protocol):
-    """What an object needs to be the ``subdomain_data`` of a measure over changing entities."""
+    """Interface of ``subdomain_data`` for measures over changing entities.
+
+    Attributes:
+        mesh: dolfinx mesh.
+    """
 
     mesh: Any
 
     @property
     def version(self) -> Any:
-        """Changes whenever the entities may have changed."""
+        """Value that changes whenever the entities may have changed."""
 
     def entities(self, integral_type: str) -> npt.NDArray[np.int32]:
-        """Integration entities of "cell" or "interior_facet" integrals."""
+        """Return the integration entities of "cell" or "interior_facet" integrals."""
 
     def blocks(self, integral_type: str) -> npt.NDArray[np.int32]:
-        """``(n, 1 or 2)`` local cells whose functions meet in each entity."""
+        """Return ``(n, 1 or 2)`` local cells whose functions interact in each entity."""
 
 
 def is_region(data: Any) -> bool:
-    """Whether the data of a measure is a region."""
+    """Return whether the data of a measure is a region."""
     return hasattr(data, "entities") and hasattr(data, "version")
 
 
 class RegionForm:
-    """A form over a region: compiled once, created anew when the region has changed.
+    """Form over a region, compiled once and created again when the region has changed.
 
     Args:
         integrals: UFL integrals with the same region as data.
-        options: of ``dolfinx.fem.form``.
+        options: options of ``dolfinx.fem.form``.
 
     Attributes:
-        region: where its integrals are taken.
-        types: of its integrals.
-        is_constant: whether it has no coefficients, so that ``state`` tells all that it depends on.
+        region: domain of integration.
+        types: types of the integrals.
+        is_constant: whether the form has no coefficients, so that it depends on ``state`` only.
     """
 
     def __init__(self, integrals: list[ufl.Integral], options: dict[str, Any]) -> None:
         """Compile (collective)."""
         self.region: Region = integrals[0].subdomain_data()
         if any(i.subdomain_id() != "everywhere" for i in integrals):
-            raise ValueError("integrals over active cells or facets cannot be restricted further")
-        # over "everywhere" dolfinx would take all entities of the mesh
+            raise ValueError(
+                "integrals over active cells or facets cannot be restricted further: leave out "
+                "the tag of the measure"
+            )
+        # With "everywhere", dolfinx would integrate over all entities of the mesh.
         form = expand_derivatives(
             ufl.Form([i.reconstruct(subdomain_data=None, subdomain_id=1) for i in integrals])
         )
@@ -69,11 +76,11 @@ class RegionForm:
 
     @property
     def state(self) -> tuple[Any, bytes]:
-        """Changes whenever the region or the constants have changed."""
+        """Value that changes whenever the region or the constants have changed."""
         return self.region.version, self._compiled.constants().tobytes()
 
     def _of_facets(self) -> npt.NDArray[np.int64] | None:
-        """Addresses of kernels for ``loops.add_facet_matrices``; None where it does not do."""
+        """Return kernel addresses for ``loops.add_facet_matrices``, or None if it is unsuitable."""
         spaces = [a.ufl_function_space() for a in self._arguments]
         if not self.is_constant or len(spaces) != 2 or self.types != {"interior_facet"}:
             return None
@@ -87,15 +94,18 @@ class RegionForm:
         fixed: Sequence[npt.NDArray[np.uint8]],
         A: la.MatrixCSR,
     ) -> bool:
-        """Add the matrix over facets without dolfinx' assembly, which takes ten times as long.
+        """Add the matrix over facets without dolfinx's assembly, which takes ten times as long.
 
         Args:
-            spaces: of test and trial functions.
+            spaces: spaces of test and trial functions.
             fixed: marks of constrained rows and columns.
-            A: matrix of block size one, with room for it.
+            A: matrix of block size one with a suitable pattern.
 
         Returns:
-            Whether it could be done.
+            Whether the form is suitable, so that the matrix was added.
+
+        Raises:
+            ValueError: if the pattern of the matrix is that of another form.
         """
         if self._facet_kernels is None:
             return False
@@ -119,11 +129,13 @@ class RegionForm:
             A.data,
         )
         if not done:
-            raise ValueError("matrix made for another form: use create_matrix of this one")
+            raise ValueError(
+                "matrix made for another form: create it with forms.create_matrix for this one"
+            )
         return True
 
     def current(self) -> fem.Form:
-        """The dolfinx form over the region as it is now (collective)."""
+        """Return the dolfinx form over the current region (collective)."""
         if self._form is None or self._version != self.region.version:
             self._version = self.region.version
             self._form = self._compiled.over({t: self.region.entities(t) for t in self.types})
@@ -131,6 +143,6 @@ class RegionForm:
 
 
 def _unrolled(V: fem.FunctionSpace) -> npt.NDArray[np.int32]:
-    """``(n_cells, n_local)`` dofs of each cell, components of a node one after the other."""
+    """Return the ``(n_cells, n_local)`` dofs of each cell, node by node with all components."""
     blocks, bs = V.dofmap.list, V.dofmap.index_map_bs
     return (blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)).reshape(len(blocks), -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sites: where a pointwise form is evaluated, and what its arguments and inputs are there."""
+"""Sites at which a pointwise form is evaluated, with its arguments and inputs there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from fenicsmpm.forms.lowering import Source
 from fenicsmpm.forms.slots import SlotTable, slot_table
 from fenicsmpm.points.point_field import PointField
 
-# Sites and numbers in element tensors of a batch and thread, which should stay in the cache
+# Numbers of sites, and of entries in element tensors, per batch and thread, which should stay in
+# the cache
 _SITES, _NUMBERS = 4096, 1 << 18
 
 Slices = tuple[slice, slice]
@@ -25,19 +26,19 @@ PlainInputs = list[npt.NDArray[np.float64] | None]
 
 
 class Sites:
-    """Selected points of a point set, group by group.
+    """Selected points of a point set, ordered by group.
 
-    Valid as long as the points do not move.
+    The object is valid as long as the points do not move.
 
     Args:
         points: the point set, ``MaterialPoints`` or ``CondensedPoints``.
-        stencil: its stencil.
-        rows: ``(n,)`` selected rows of the stencil's tables.
-        groups: ``(n_groups,)`` groups that have selected points.
-        offsets: ``(n_groups + 1,)`` range of each of these groups within ``rows``.
+        stencil: stencil of the points.
+        rows: selected rows of the stencil's tables ``(n,)``.
+        groups: groups with selected points ``(n_groups,)``.
+        offsets: range of each of these groups within ``rows`` ``(n_groups + 1,)``.
 
     Attributes:
-        order: ``(n,)`` storage index of each site.
+        order: storage index of each site ``(n,)``.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Sites:
         groups: npt.NDArray[np.int32],
         offsets: npt.NDArray[np.int64],
     ) -> None:
-        """Keep the selection; nothing is tabulated yet."""
+        """Store the selection; nothing is tabulated yet."""
         self.points = points
         self.stencil = stencil
         self.rows = rows
@@ -60,32 +61,32 @@ class Sites:
         self._averages: dict[int, SlotTable] = {}
 
     def forget_tables(self) -> None:
-        """To be called after a last use, so that tables of old positions do not stay in memory."""
+        """Free all tables after their last use, before the points move."""
         self._tables = {}
         self._averages = {}
 
     def forget_averages(self) -> None:
-        """To be called before each use: weights may change at any time."""
+        """Discard averages before each use, because weights may change at any time."""
         self._averages = {}
 
     def _in_group_order(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Rows of the sites; no copy where points are stored in group order."""
+        """Return the rows of the sites, without a copy if points are stored in group order."""
         return values if self._is_sorted else values[self.order]
 
     @property
     def weights(self) -> npt.NDArray[np.float64]:
-        """``(n,)`` weights in group order."""
+        """Weights in group order ``(n,)`` [m^d]."""
         return self._in_group_order(self.points.weight)
 
     @property
     def x(self) -> npt.NDArray[np.float64]:
-        """``(n, d)`` positions in group order, in m."""
+        """Positions in group order ``(n, d)`` [m]."""
         return self._in_group_order(self.points.x)
 
     # --- grid functions ----------------------------------------------------------------------
 
     def table(self, source: Source) -> SlotTable:
-        """Slot table of an argument or function."""
+        """Return the slot table of an argument or function."""
         assert source.layout is not None
         has_average = np.any(source.used >= source.layout.n_slots // 2)
         tables = self._averages if has_average else self._tables
@@ -94,7 +95,7 @@ class Sites:
         return tables[id(source)]
 
     def _average(self, table: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Average full table rows over the sites of each group."""
+        """Return full table rows averaged over the sites of each group."""
         result = np.zeros_like(table)
         result[self.rows] = loops.average_groups(table[self.rows], self.weights, self.offsets)
         return result
@@ -102,10 +103,10 @@ class Sites:
     # --- kernel inputs -----------------------------------------------------------------------
 
     def batches(self, numbers: int = 1) -> Iterator[Slices]:
-        """Ranges of groups and of sites that are processed together.
+        """Yield ranges of groups and of sites that are processed together.
 
         Args:
-            numbers: in the element tensor of a group.
+            numbers: number of entries in the element tensor of a group.
         """
         threads = numba.get_num_threads()
         size, most = _SITES * threads, max(1, _NUMBERS // numbers) * threads
@@ -117,11 +118,11 @@ class Sites:
             first = last
 
     def plain_inputs(self, sources: list[Source], cell_values: dict[int, Any]) -> PlainInputs:
-        """Values of the inputs that are not grid functions, ``(n or 1, n_used)`` each.
+        """Return the values of the inputs that are not grid functions, ``(n or 1, n_used)`` each.
 
         Args:
             sources: all inputs of the form.
-            cell_values: ``(n_cells,)`` values of those that are constant in cells, by ``id``.
+            cell_values: values ``(n_cells,)`` of the inputs that are constant in cells, by ``id``.
         """
         return [
             None if source.layout is not None else self._plain_values(source, cell_values)
@@ -153,16 +154,16 @@ class Sites:
     def inputs(
         self, batch: Slices, sources: list[Source], plain: PlainInputs, dofs: Any
     ) -> npt.NDArray[np.float64]:
-        """Input vectors of the kernel for a batch of groups and sites.
+        """Return the input vectors of the kernel for a batch of groups and sites.
 
         Args:
-            batch: see ``batches``.
+            batch: ranges of groups and sites; see ``batches``.
             sources: all inputs of the form.
-            plain: see ``plain_inputs``.
-            dofs: function of a source and its space, to their ``(n_all_groups, n_local)`` dofs.
+            plain: values of plain inputs; see ``plain_inputs``.
+            dofs: function from a source and its space to their dofs ``(n_all_groups, n_local)``.
 
         Returns:
-            ``(n_sites, n_inputs)``.
+            Input vectors ``(n_sites, n_inputs)``.
         """
         groups, sites = batch
         n_inputs = sum(len(source.used) for source in sources)
@@ -186,7 +187,7 @@ class Sites:
         result: npt.NDArray[np.float64],
         first: int,
     ) -> None:
-        """Put the used slots of a function at a batch of sites into columns of the inputs."""
+        """Write the used slots of a function at a batch of sites to columns of the inputs."""
         assert source.layout is not None
         table = self.table(source)
         function = source.item.x.array

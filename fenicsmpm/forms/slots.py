@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Slots: the scalars through which a grid function enters a pointwise form.
 
-At a point, a function f of a finite element space is known to an integrand only by its
-components' values, gradients and second gradients (and averages of these over the group of
-points). Each such scalar is a *slot*. A slot is a linear combination of the degrees of freedom
-that one component has in the point's group; the coefficients are one row of the stencil's table.
+At a point, an integrand uses a function f of a finite element space only through the values,
+gradients and second gradients of its components, and through averages of these over the points of a
+group. Each such scalar is a *slot*. A slot is a linear combination of the degrees of freedom of one
+component in the group of the point. Its coefficients are one row of the stencil's table.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def leaves_of(element: Any) -> list[Leaf]:
     """Split a UFL element into leaves, in the order of value components and dofs.
 
     Args:
-        element: element of a function space (scalar, blocked or mixed, nested at will).
+        element: element of a function space (scalar, blocked or mixed, with any nesting).
 
     Raises:
-        UnsupportedFormError: for elements that are not mapped by identity, such as H(div), H(curl),
-            for symmetric tensor, quadrature and real elements.
+        UnsupportedFormError: if an element is not mapped by identity, as for H(div) and H(curl), or
+            is a symmetric tensor, quadrature or real element.
     """
     leaves: list[Leaf] = []
 
@@ -83,10 +83,10 @@ def _scalar_element(element: Any) -> Any:
 
 
 class Layout:
-    """Order of a space's slots and local degrees of freedom.
+    """Order of the slots and local degrees of freedom of a space.
 
-    Slot number ``(average * n_components + component) * n_rows + row`` with the rows of
-    ``PointStencil.table`` (value, gradients, second gradients). Local degrees of freedom are
+    The number of a slot is ``(average * n_components + component) * n_rows + row``, with the rows
+    of ``PointStencil.table`` (value, gradients, second gradients). Local degrees of freedom are
     reordered component by component, so that those of one slot are contiguous.
 
     Args:
@@ -113,39 +113,40 @@ class Layout:
         return all(e.degree <= 1 and e.cell_type.name in SIMPLICES for e in elements)
 
     def value_slots(self, used: npt.NDArray[np.int64]) -> npt.NDArray[np.int64] | None:
-        """Positions of the value slots within the used ones of linear functions.
+        """Return the positions of value slots within the used slots of linear functions.
 
-        None if the functions are not linear, or if there are averages among the slots.
+        The result is None if the functions are not linear, or if there are averages among the
+        slots.
         """
         average = bool(np.any(used >= self.n_slots // 2))
         return np.flatnonzero(used % self.n_rows == 0) if self.is_linear and not average else None
 
     @property
     def n_slots(self) -> int:
-        """Number of slots, averaged ones included."""
+        """Number of slots, including those of averages."""
         return 2 * self.n_components * self.n_rows
 
     def slot(self, component: int, derivative: tuple[int, ...], average: bool) -> int:
-        """Number of the slot of a component's derivative.
+        """Return the number of the slot of a derivative of a component.
 
         Args:
             component: flattened value component.
-            derivative: directions of derivation, at most two.
-            average: average over the group's points instead of the value at the point.
+            derivative: directions of the derivative, at most two.
+            average: whether the slot is the average over the points of the group.
         """
-        row = sum(self.dim**k for k in range(len(derivative)))  # rows of lower derivatives
+        row = sum(self.dim**k for k in range(len(derivative)))  # number of lower derivatives
         index = 0
         for k in derivative:
             index = index * self.dim + k
         return (int(average) * self.n_components + component) * self.n_rows + row + index
 
     def component_starts(self, stencil: PointStencil) -> npt.NDArray[np.int64]:
-        """``(n_components,)`` first local dof of each component, in the slots' order."""
+        """Return the first local dof of each component ``(n_components,)``, in slot order."""
         lengths = [stencil.n_functions(leaf.element) for leaf in self.component_leaf]
         return np.cumsum([0, *lengths[:-1]])
 
     def unrolled_dofs(self, space: Any, stencil: PointStencil) -> npt.NDArray[np.int32]:
-        """``(n_groups, n_local)`` unrolled local dofs of a dolfinx space in the slots' order."""
+        """Return unrolled local dofs ``(n_groups, n_local)`` of a dolfinx space, in slot order."""
         bs = space.dofmap.bs
         blocks = stencil.dofs(space)
         dofs = blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)
@@ -164,10 +165,10 @@ class SlotTable:
     """Rows of grid functions for the used slots of one argument or coefficient.
 
     Attributes:
-        basis: ``(n_points, n_columns)`` concatenated table rows, in group order.
-        column: ``(n_slots,)`` first column of each used slot.
-        length: ``(n_slots,)`` number of grid functions of each used slot.
-        start: ``(n_slots,)`` first local dof (slots' order) of each used slot.
+        basis: concatenated table rows in group order ``(n_points, n_columns)``.
+        column: first column of each used slot ``(n_slots,)``.
+        length: number of grid functions of each used slot ``(n_slots,)``.
+        start: first local dof of each used slot, in slot order ``(n_slots,)``.
     """
 
     basis: npt.NDArray[np.float64]
@@ -185,10 +186,10 @@ def slot_table(
     """Tabulate the used slots of a space.
 
     Args:
-        layout: of the space.
-        used: ``(n,)`` slot numbers.
-        stencil: of the point set.
-        average: function that averages ``(n_points, ...)`` rows over the points of each group.
+        layout: layout of the space.
+        used: slot numbers ``(n,)``.
+        stencil: stencil of the point set.
+        average: function that averages rows ``(n_points, ...)`` over the points of each group.
     """
     rows = used % layout.n_rows
     components = (used // layout.n_rows) % layout.n_components

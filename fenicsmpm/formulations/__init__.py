@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Formulations: functions that return UFL forms to be printed, changed and recombined."""
+"""Formulations: functions that return UFL forms, which users can print, change and combine."""
 
 from fenicsmpm.formulations.bdf2 import BDF2
 from fenicsmpm.formulations.boundary import (

@@ -13,28 +13,33 @@ from fenicsmpm.points import MaterialPoints
 
 
 class BDF2(TimeScheme):
-    """Velocity and acceleration by BDF2 of displacement and velocity, for steps of any length.
+    """BDF2 for displacement and velocity, with steps of variable length.
 
-    Points carry the previous increments of displacement "du" and velocity "dv", and that of each
-    history whose ``rate`` is asked for. The first step is one of the implicit Euler method.
+    The points carry the previous increments of displacement "du" and of velocity "dv". They also
+    carry the previous increment of each history whose ``rate`` is requested. The first step uses
+    the implicit Euler method.
 
     Args:
-        unknown: with a part that moves the points, the displacement increment u [m].
+        unknown: unknown with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
-        flip: 1 for FLIP, 0 for PIC, or between.
+        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
 
     Attributes:
-        dt: length of the present step, which the time loop sets.
-        histories: grid function of each field that is mapped from points, by the field's name.
-        increment: displacement increment u of the step [m].
-        acceleration: at the end of the step [m/s^2].
+        dt: length of the current step [s], a constant that the time loop sets.
+        histories: grid functions of the fields that are mapped from the points, by field name.
+        increment: displacement increment u of the step ``(d,)`` [m], UFL.
+        acceleration: acceleration at the end of the step ``(d,)`` [m/s^2], UFL.
+
+    Raises:
+        ValueError: if the time step is not positive and finite, the share of FLIP lies outside
+            [0, 1], or no part of the unknown moves the points.
     """
 
     def __init__(self, unknown: Unknown, *, dt: float, flip: float = 1.0) -> None:
-        """Write down velocity and acceleration."""
+        """Define velocity and acceleration."""
         super().__init__(unknown, dt, flip, ("v", "du", "dv"))
         mesh = unknown.mesh
-        self._new = fem.Constant(mesh, 1.0)  # factors of the new and of the previous increment
+        self._new = fem.Constant(mesh, 1.0)  # coefficients of the new and the previous increment
         self._old = fem.Constant(mesh, 0.0)
         self._previous_dt: float | None = None
         v, du, dv = self.histories.values()
@@ -46,7 +51,14 @@ class BDF2(TimeScheme):
         return (self._new * new - self._old * old) / self.dt
 
     def rate(self, part: str) -> Any:
-        """See ``TimeScheme``; of second order."""
+        """Return the rate of a history [1/s] as UFL, of second order in dt.
+
+        Args:
+            part: name of the history.
+
+        Raises:
+            ValueError: if the part is not a history.
+        """
         super().rate(part)
         name = f"d{part}"
         if name not in self.histories:
@@ -54,19 +66,19 @@ class BDF2(TimeScheme):
         return self._rate(self.change(part), self.histories[name])
 
     def begin(self) -> None:
-        """Adapt the factors to the lengths of this step and the one before, if there was one."""
+        """Adapt the coefficients to the lengths of this step and of the previous one, if any."""
         dt = float(self.dt.value)
         ratio = 0.0 if self._previous_dt is None else dt / self._previous_dt
         self._new.value = (1 + 2 * ratio) / (1 + ratio)
         self._old.value = ratio**2 / (1 + ratio)
 
     def end(self) -> None:
-        """Remember the length of the step that was done."""
+        """Store the length of the completed step."""
         self._previous_dt = float(self.dt.value)
 
     @property
     def memory(self) -> dict[str, float]:
-        """Length of the previous step."""
+        """Length of the previous step [s]; empty before the first step."""
         return {} if self._previous_dt is None else {"previous_dt": self._previous_dt}
 
     @memory.setter
@@ -75,15 +87,19 @@ class BDF2(TimeScheme):
 
     @property
     def rates(self) -> tuple[Any, Any]:
-        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        """Derivatives of velocity [1/s] and acceleration [1/s^2] with respect to u, UFL."""
         return self._new / self.dt, (self._new / self.dt) ** 2
 
     def grid_velocity(self) -> Any:
-        """Velocity on the grid at the end of the step [m/s], UFL."""
+        """Return the grid velocity at the end of the step ``(d,)`` [m/s], UFL."""
         return self._velocity
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New values of the points' fields, as UFL over the points."""
+        """Return the new values of the point fields, as UFL over the points.
+
+        Args:
+            points: the body.
+        """
         change = self._velocity - self.histories["v"]
         velocity = self.flip * (points.field("v") + change) + (1 - self.flip) * self._velocity
         return {

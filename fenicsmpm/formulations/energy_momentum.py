@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Displacement formulations, with stresses that conserve energy among them."""
+"""Internal forces of displacement formulations, including energy-conserving stresses."""
 
 from __future__ import annotations
 
@@ -17,70 +17,73 @@ from fenicsmpm.points import MaterialPoints
 
 
 def stress_power(P: Any, w: Any, points: MaterialPoints) -> ufl.Form:
-    """Internal virtual work of a first Piola-Kirchhoff stress, the integral of P : Grad w.
+    """Return the internal virtual work of a stress P, the integral of P : Grad w.
 
     Args:
-        P: stress [Pa], 3x3, UFL over the points.
-        w: test function of the displacement.
-        points: the body, with volumes V_n as weights; without a field "F" it is undeformed.
+        P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL over the points.
+        w: test function of the displacement ``(d,)``.
+        points: the body, with the volumes V_n as weights [m^d]. Points without a field "F" are
+            undeformed.
 
     Returns:
         UFL form of rank 1 over the points.
     """
     F_n = gradient_before(points)
-    gradient = embed(ufl.grad(w)) * F_n  # with respect to initial positions
+    gradient = embed(ufl.grad(w)) * F_n  # gradient with respect to initial positions
     return ufl.inner(P, gradient) / ufl.det(F_n) * points.dx
 
 
 class EnergyMomentum(Response):
     """Algorithmic stress that conserves energy and momenta with the mid-point rule.
 
-    Conservation paper, equations 47 to 51 (O. Gonzalez, CMAME 190, 2000; X. Meng and T. Laursen,
-    CMAME 191, 2002): with mean stress S_m = (S_n + S_{n+1}) / 2 and Delta C = C_{n+1} - C_n,
+    The stress is that of the conservation paper, equations 47 to 51 (O. Gonzalez, CMAME 190, 2000;
+    X. Meng and T. Laursen, CMAME 191, 2002). With the mean stress S_m = (S_n + S_{n+1}) / 2 and
+    Delta C = C_{n+1} - C_n, it is
 
         ``S = S_m + Delta C / |Delta C|^2 (2 (Delta psi + Delta D) - S_m : Delta C)``
 
-    so that S : Delta C / 2 is exactly the free energy gained and the work dissipated in the step.
+    Therefore S : Delta C / 2 equals exactly the free energy gained plus the work dissipated in the
+    step.
 
-    For Delta C -> 0 the second term vanishes, but its quotient is 0 / 0. Instead of
-    ``c = |Delta C|^2`` the denominator is c + e^4 / (c + e^2) with e = 1e-6. That is smooth, and
-    the energy of a step is then wrong by less than e^3 of the modulus, and by less than
-    ``e^4 / |Delta C|`` for larger steps.
+    For Delta C -> 0 the second term vanishes, but its quotient becomes 0 / 0. Therefore the
+    denominator ``c = |Delta C|^2`` is replaced by c + e^4 / (c + e^2) with e = 1e-6, which is
+    smooth. The resulting error in the energy of a step, relative to the modulus, is less than e^3.
+    For larger steps it is less than ``e^4 / |Delta C|``.
 
-    The body carries the stress "S" [Pa] and the "work" psi + D [J/m^3] of the end of the last step;
-    they are added here, for its present fields "F" and state.
+    The body carries the stress "S" [Pa] and the "work" psi + D [J/m^3] of the end of the previous
+    step. The constructor adds both fields, computed from the current "F" and state of the body.
 
     Args:
-        material: a law at points with an energy, or an energy per initial volume
-            ``psi(F)`` [J/m^3] in UFL.
+        material: law at points with an energy, or UFL energy per initial volume ``psi(F)`` [J/m^3].
         points: the body, with the fields of ``set_initial_state``.
-        z: unknown with the increment of displacement u of the step [m].
+        z: unknown with the displacement increment u of the step [m].
 
     Attributes:
-        F: deformation gradient at the end of the step, 3x3.
-        P: first Piola-Kirchhoff stress there [Pa], 3x3.
-        work: free energy and what was dissipated there, per initial volume [J/m^3].
-        updates: new fields after a step; time loops know them.
-        algorithmic_stress: S from above [Pa], 3x3.
+        F: deformation gradient at the end of the step, ``(3, 3)``, UFL.
+        P: first Piola-Kirchhoff stress at the end of the step ``(3, 3)`` [Pa], UFL.
+        work: free energy plus dissipated work at the end of the step, per initial volume [J/m^3],
+            UFL.
+        updates: new values of the point fields after a step. Time loops find and apply them.
+        algorithmic_stress: the stress S above ``(3, 3)`` [Pa], UFL.
 
     Raises:
-        ValueError: for a body that has such a stress already or not the fields that it needs, laws
-            that ``Response`` cannot use, or with a state whose dissipation is not known.
+        ValueError: if the body already has such a stress or lacks the required fields, if
+            ``Response`` cannot use the law, or if the law has a state but no field "dissipation".
     """
 
     def __init__(self, material: Law | Energy, points: MaterialPoints, z: Unknown) -> None:
-        """Write down the stress."""
+        """Define the stress and add the fields "S" and "work"."""
         z.require("u", of="an energy-momentum stress")
         require_initial_state(points, "energy-momentum stress")
         if "S" in points:
             raise ValueError(
-                "the body has the stress and work of another EnergyMomentum: there is one for all "
-                "forms of a body"
+                "the body already has the fields 'S' and 'work' of another EnergyMomentum: use "
+                "one EnergyMomentum in all forms of a body"
             )
         if isinstance(material, Law) and material.state and "dissipation" not in material.state:
             raise ValueError(
-                f"energy cannot be kept by {material!r}: a law with a state needs a field "
-                f"'dissipation' [J/m^3] in it, among {', '.join(material.state)}"
+                f"{material!r} cannot conserve energy: the state of a law needs a field "
+                f"'dissipation' [J/m^3], but has only {', '.join(material.state)}"
             )
         super().__init__(material, points, Kinematics(z.u, points).F)
         self._points, self._z = points, z
@@ -96,7 +99,7 @@ class EnergyMomentum(Response):
         self.updates = {**self.updates, **S_n.renewals}
 
     def _discrete_derivative(self, gain: Any, mean: Any) -> Any:
-        """Tensor nearest to a mean whose product with Delta C / 2 is the gain (equation 47)."""
+        """Return the tensor closest to a mean whose product with Delta C / 2 is the gain (47)."""
         F_n = self._points.field("F")
         change = self.F.T * self.F - F_n.T * F_n
         size = ufl.inner(change, change)
@@ -104,7 +107,11 @@ class EnergyMomentum(Response):
         return mean + (2 * gain - ufl.inner(mean, change)) / size * change
 
     def power(self) -> ufl.Form:
-        """Internal virtual work at the middle of the step (equation 39), of rank 1."""
+        """Return the internal virtual work at the middle of the step (equation 39).
+
+        Returns:
+            UFL form of rank 1 over the points.
+        """
         middle = (self.F + self._points.field("F")) / 2
         return stress_power(middle * self.algorithmic_stress, self._z.test.u, self._points)
 

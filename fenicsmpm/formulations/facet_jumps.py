@@ -14,14 +14,18 @@ from fenicsmpm.points.geometry import cell_geometry
 
 
 def jumps(mesh: Any) -> Any:
-    """Size of the cells at a facet [m], and the jump of a normal derivative.
+    """Return the cell size at a facet [m] and a function for jumps of normal derivatives.
 
     Args:
         mesh: background mesh.
+
+    Returns:
+        Size h of the two cells at a facet [m], UFL, and a function that maps a UFL expression to
+        the jump of its normal derivative across the facet.
     """
     n = ufl.FacetNormal(mesh.ufl_domain())("+")
     domain = mesh.ufl_domain()
-    # FFCx has no volume of quadrilaterals and hexahedra; that of the reference cell is one
+    # FFCx has no volume of quadrilaterals and hexahedra. Their reference cells have the volume 1.
     is_simplex = cell_geometry(mesh).is_simplex
     volume = ufl.CellVolume(domain) if is_simplex else abs(ufl.JacobianDeterminant(domain))
     h = ufl.avg(volume) ** (1 / mesh.geometry.dim)
@@ -33,14 +37,17 @@ def jumps(mesh: Any) -> Any:
 
 
 def of_jumps(measure: ufl.Measure, spaces: Sequence[fem.FunctionSpace]) -> ufl.Measure:
-    """A measure for products of two jumps, with as few quadrature points as they need.
+    """Return a measure for products of two jumps, with as few quadrature points as possible.
 
-    Normal derivatives of linear functions are constant on simplices, and linear along the facets of
-    boxes; UFL counts with more.
+    Normal derivatives of linear functions are constant on the facets of simplices and linear along
+    the facets of boxes. The degree that UFL estimates is higher.
 
     Args:
-        measure: over facets.
-        spaces: of the functions.
+        measure: measure over facets.
+        spaces: function spaces of the arguments of the jumps.
+
+    Returns:
+        The measure, with a lower quadrature degree if all functions are linear.
     """
     geometry = cell_geometry(spaces[0].mesh)
     if not all(is_linear(V.ufl_element()) for V in spaces):

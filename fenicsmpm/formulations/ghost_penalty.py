@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ghost penalty: cut cells follow their neighbours (E. Burman, C. R. Math. 348, 2010)."""
+"""Ghost penalty, which couples cut cells to their neighbours (E. Burman, C. R. Math. 348, 2010)."""
 
 from __future__ import annotations
 
@@ -20,25 +20,28 @@ def ghost_penalty(
     *,
     gamma: float = 0.1,
 ) -> ufl.Form:
-    """Penalty on jumps of gradients over the facets of cut cells.
+    """Return a penalty on the jumps of gradients across the facets of cut cells.
 
-    Nodes with little or no material nearby then follow the linear continuation of their
-    neighbours: gamma mu h [dn u] . [dn w] - gamma h^3 / (2 mu) [dn p] [dn q], the latter if there
-    is a pressure. The increment of displacement is penalized, not the displacement itself, so that
-    no force builds up; its work is lost. A load on such nodes moves them by the same length in each
-    step, however short: in short steps take ``cells.Tying``.
+    The penalty is gamma mu h [dn u] . [dn w], and with a pressure in addition -gamma h^3 / (2 mu)
+    [dn p] [dn q]. Nodes with little or no material nearby then follow the linear extrapolation from
+    their neighbours.
+
+    The form penalizes the displacement increment instead of the displacement, so that no force
+    builds up. The work of the penalty is lost. A load on nodes without material moves them by the
+    same length in each step, however short the step is. For short steps use ``cells.Tying``
+    instead.
 
     Args:
-        z: unknown with the increment of displacement u [m], and the pressure p [Pa] if it has one.
+        z: unknown with the displacement increment u [m] and, if present, the pressure p [Pa].
         cells: active cells of the body and of boundary points that carry loads.
         law: constitutive law.
-        gamma: factor [-]; 1 begins to stiffen the body.
+        gamma: penalty factor [-]. Values of about 1 start to stiffen the body.
 
     Returns:
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: for a factor that is not positive, or a law without a shear modulus.
+        ValueError: if the factor is not positive, or the law has no shear modulus.
     """
     _check(gamma)
     z.require("u", of="the ghost penalty")
@@ -60,20 +63,24 @@ def ghost_penalty(
 def ghost_mass(
     cells: ActiveCells, scheme: TimeScheme, density: float, *, gamma: float = 0.1
 ) -> ufl.Form:
-    """Inertia of nodes with little material: gamma rho h^3 [dn a] . [dn w] over cut cells' facets.
+    """Return the ghost mass, an inertia of nodes with little material.
 
-    It bounds the condition number of the mass (S. Sticko, G. Ludvigsson, G. Kreiss, Adv. Comput.
-    Math. 46, 2020; conservation paper, section 7.4). Points do not gain what its kinetic energy
-    loses; ``cells.Tying`` regularizes the mass as well, and conserves energy.
+    The form is gamma rho h^3 [dn a] . [dn w] on the facets of cut cells. It bounds the condition
+    number of the mass matrix (S. Sticko, G. Ludvigsson, G. Kreiss, Adv. Comput. Math. 46, 2020;
+    conservation paper, section 7.4). The kinetic energy that this term loses is not transferred to
+    the points. ``cells.Tying`` also regularizes the mass matrix, and conserves energy.
 
     Args:
         cells: active cells of the body.
-        scheme: time scheme, whose acceleration it takes [m/s^2].
-        density: of the undeformed body [kg/m^d].
-        gamma: factor [-].
+        scheme: time scheme that defines the acceleration a [m/s^2].
+        density: density of the undeformed body [kg/m^d].
+        gamma: penalty factor [-].
 
     Returns:
         UFL form of rank 1 over facets.
+
+    Raises:
+        ValueError: if the factor is not positive.
     """
     _check(gamma)
     h, jump = jumps(cells.mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fields that a body carries through a dynamic computation."""
+"""Initial fields of a body for time loops."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ def set_initial_state(
     density: npt.ArrayLike | OfPosition,
     velocity: npt.ArrayLike | OfPosition | None = None,
 ) -> None:
-    """Give undeformed points the fields of a body in motion, for any time loop (collective).
+    """Add the fields that any time loop needs to undeformed points (collective).
 
-    These are "mass" [kg], "V_0" initial volume [m^d], "F" deformation gradient and "J" its
-    determinant [-], "u" displacement [m] and "v" velocity [m/s]; where velocities are given, also
-    their gradient "grad_v" [1/s]. What a law or a time scheme needs beyond that, it adds itself.
+    The fields are the mass "mass" [kg], the initial volume "V_0" [m^d], the deformation gradient
+    "F" [-], its determinant "J" [-], the displacement "u" [m] and the velocity "v" [m/s]. If a
+    velocity is given, its gradient "grad_v" [1/s] is added too. Laws and time schemes add any
+    further fields that they need.
 
     Args:
-        points: the body, with its volumes as weights.
-        density: [kg/m^d], one number, one for each point of this rank, ``(n,)``, or a function as
-            in dolfinx, from positions ``(3, n)`` [m] to densities ``(n,)``, such as of layers.
+        points: the body, with its volumes as weights [m^d].
+        density: density [kg/m^d]: one number, an array ``(n,)`` with one value for each point of
+            this rank, or a function as in dolfinx, from positions ``(3, n)`` [m] to densities
+            ``(n,)``.
         velocity: initial velocity of all points ``(d,)`` [m/s], or a function as in dolfinx, from
-            positions ``(3, n)`` [m] to velocities ``(d, n)``; None for a body at rest.
+            positions ``(3, n)`` [m] to velocities ``(d, n)`` [m/s]. None for a body at rest.
 
     Raises:
-        ValueError: on all ranks, for densities that are not positive and finite or of another
-            shape, or velocities of another shape. The points are as before, also where the function
-            raises something else on any rank.
+        ValueError: on all ranks, if densities are not positive and finite, or if densities or
+            velocities have a wrong shape. After any error, including one raised by a given function
+            on one rank, the points are unchanged.
     """
     error, rho = _density(density, points)
     raise_together(points.mesh.comm, error)
@@ -52,7 +54,7 @@ def set_initial_state(
 def _density(
     density: npt.ArrayLike | OfPosition, points: MaterialPoints
 ) -> tuple[Exception | None, npt.NDArray[np.float64]]:
-    """Densities, ``(n,)`` or ``()``, and what is wrong with them."""
+    """Return densities, ``(n,)`` or ``()``, and an error if they are invalid."""
     n = len(points)
     if callable(density):
         error, density = values_at(density, points.x, ())
@@ -77,25 +79,25 @@ def _density(
 def _motion(
     velocity: npt.ArrayLike | OfPosition | None, points: MaterialPoints
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """Velocity "v" and its gradient "grad_v", of each point or all alike (collective)."""
+    """Return velocity "v" and gradient "grad_v", for each point or for all points (collective)."""
     dim = points.mesh.geometry.dim
     if callable(velocity):
         error, v = vectors_at(velocity, points.x)
         raise_together(points.mesh.comm, error)
         lower, upper = points.bounds()
-        step = 1e-5 * float(np.max(upper - lower)) or 1.0  # a single point
+        step = 1e-5 * float(np.max(upper - lower)) or 1.0  # 1.0 for a single point
         return {"v": v, "grad_v": _gradient(velocity, points, step)}
     v = np.zeros(dim) if velocity is None else finite(velocity, "velocities")
     if v.shape != (dim,):
         raise ValueError(
             f"a velocity of all points needs the shape ({dim},), not {v.shape}: give a function of "
-            "positions if they move differently"
+            "positions if velocities vary in space"
         )
     return {"v": v, "grad_v": np.zeros((dim, dim))}
 
 
 def _gradient(velocity: OfPosition, points: MaterialPoints, step: float) -> npt.NDArray[np.float64]:
-    """``(n, d, d)`` gradient at points by differences over a step [m] (collective)."""
+    """Return the ``(n, d, d)`` gradient at points by central differences (collective)."""
     errors: list[Exception | None] = []
     gradient = np.empty((*points.x.shape, points.x.shape[1]))
     for k, e in enumerate(step * np.eye(points.x.shape[1])):
@@ -108,11 +110,14 @@ def _gradient(velocity: OfPosition, points: MaterialPoints, step: float) -> npt.
 
 
 def require_initial_state(points: MaterialPoints, what: str) -> None:
-    """Raise ValueError for points without the fields of ``set_initial_state``.
+    """Raise ValueError if points lack the fields of ``set_initial_state``.
 
     Args:
         points: the body.
-        what: needs them.
+        what: name of the feature that needs the fields, for the message.
+
+    Raises:
+        ValueError: if a field is missing.
     """
     missing = [name for name in ("F", "J", "mass", "V_0") if name not in points]
     if missing:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Stabilization of the pressure by its roughness, for functions of any smoothness.
+"""Pressure stabilization by penalties on jumps or second derivatives of the pressure.
 
-Both forms see how the gradient of the pressure changes from cell to cell, one at the facets, the
-other at the points. They need no residual, so they are the same in statics and dynamics.
+Both forms penalize how the gradient of the pressure changes between cells. One form works on
+facets, the other at the points. Neither needs a residual, so they are the same in statics and
+dynamics and suit functions of any smoothness.
 """
 
 from __future__ import annotations
@@ -33,33 +34,35 @@ def interior_penalty(
     gamma: float = GAMMA,
     scheme: TimeScheme | None = None,
 ) -> ufl.Form:
-    """Continuous interior penalty -gamma h tau_1 [dn p] [dn q] (Burman and Hansbo).
+    """Return the interior penalty -gamma h tau_1 [dn p] [dn q] (Burman and Hansbo).
 
-    It is taken over all facets between two active cells, with tau_1 = h^2 / (2 mu) as in ASGS, and
-    on the linear functions of the same nodal values, also where the points see splines or uGIMP:
-    these have no jumps, and their second differences are what oscillates (E. Burman, P. Hansbo,
-    CMAME 195, 2006).
+    The integral is taken over all facets between two active cells, with tau_1 = h^2 / (2 mu) as in
+    ASGS (E. Burman, P. Hansbo, CMAME 195, 2006).
+
+    The form always uses the linear functions with the nodal values of the pressure, even if the
+    points use splines or uGIMP. These smooth functions have no jumps, but the second differences of
+    their nodal values can oscillate.
 
     Args:
         z: unknown with the pressure p [Pa].
         cells: active cells of the body and of boundary points that carry loads.
         law: constitutive law.
-        gamma: factor [-]; results hardly depend on it between 0.01 and 1.
-        scheme: time scheme, for tau_1 with inertia as in ``tau``, here of the mean density of all
-            bodies (collective); for steps much shorter than h sqrt(rho / mu).
+        gamma: penalty factor [-]. Results hardly depend on it between 0.01 and 1.
+        scheme: time scheme, which adds inertia to tau_1 as in ``tau``, here with the mean density
+            of all bodies (collective). Use it for steps much shorter than h sqrt(rho / mu).
 
     Returns:
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: for an unknown without a linear pressure, a factor that is not positive, no
-            active cells, a law and a scheme that both have inertia, or with a scheme bodies without
-            ``set_initial_state``.
+        ValueError: if the unknown has no linear pressure, the factor is not positive, there are no
+            active cells, both law and scheme have inertia, or a scheme is given and a body lacks
+            the fields of ``set_initial_state``.
     """
     _check(z, gamma, "the interior penalty")
     if not isinstance(cells, ActiveCells):
         raise ValueError(
-            "the interior penalty is taken over the facets of active cells: give "
+            "the interior penalty is an integral over the facets of active cells: give "
             f"ActiveCells(body, loads=[..]), not {cells!r}"
         )
     z.require_linear("the interior penalty", "p")
@@ -77,24 +80,25 @@ def hessian_penalty(
     gamma: float = GAMMA,
     scheme: TimeScheme | None = None,
 ) -> ufl.Form:
-    """Penalty on second derivatives -gamma h^2 tau_1 (grad grad p, grad grad q) at the points.
+    """Return the penalty -gamma h^2 tau_1 (grad grad p, grad grad q) at the points.
 
-    For quadratic splines, whose second derivatives are the second differences of neighbouring nodal
-    values over h^2, it is the interior penalty as an integral over the points.
+    The second derivatives of quadratic splines are the second differences of neighbouring nodal
+    values over h^2. For these splines the form therefore corresponds to the interior penalty,
+    integrated over the points.
 
     Args:
         z: unknown with the pressure p [Pa].
-        points: material points that see splines.
+        points: material points that use splines.
         law: constitutive law.
-        gamma: factor [-].
-        scheme: time scheme, for tau_1 with inertia, see ``tau``.
+        gamma: penalty factor [-].
+        scheme: time scheme, which adds inertia to tau_1; see ``tau``.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: for an unknown without pressure, a factor that is not positive, points that see
-            functions without second derivatives, or a law and a scheme that both have inertia.
+        ValueError: if the unknown has no pressure, the factor is not positive, the functions of the
+            points have no second derivatives, or both law and scheme have inertia.
     """
     _check(z, gamma, "the penalty on second derivatives")
     require_second_derivatives(points, "the penalty on second derivatives")
@@ -105,18 +109,21 @@ def hessian_penalty(
 
 
 def require_second_derivatives(points: MaterialPoints, what: str) -> None:
-    """Raise ValueError for points that do not see splines.
+    """Raise ValueError if points do not use splines.
 
     Args:
         points: the point set.
-        what: needs them.
+        what: name of the feature that needs splines, for the message.
+
+    Raises:
+        ValueError: if the functions of the points are not quadratic or cubic splines.
     """
     name = functions_of(points)
     if name not in ("quadratic", "cubic"):
         raise ValueError(
-            f"{what} is for points that see splines, whose second derivatives are bounded, not for "
-            f'{name} functions: basis.use(points, "quadratic") on a lattice, or the interior '
-            "penalty over facets"
+            f"{what} needs splines, whose second derivatives are bounded, not {name} functions: "
+            'call basis.use(points, "quadratic") on a lattice, or use the interior penalty over '
+            "facets"
         )
 
 
@@ -127,7 +134,7 @@ def _check(z: Unknown, gamma: float, what: str) -> None:
 
 
 def _mean_density(cells: ActiveCells) -> float:
-    """Mass over initial volume of all bodies [kg/m^d] (collective)."""
+    """Return mass over initial volume of all bodies [kg/m^d] (collective)."""
     for body in cells.bodies:
         require_initial_state(body, "the interior penalty with inertia")
     sums = np.sum([[np.sum(p["mass"]), np.sum(p["V_0"])] for p in cells.bodies], axis=0)

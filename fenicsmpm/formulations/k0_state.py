@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stress at rest of horizontal layers of soil."""
+"""At-rest (K0) stress in horizontal layers of soil."""
 
 from __future__ import annotations
 
@@ -24,29 +24,30 @@ def k0_state(
     water_density: float = 1000.0,
     axis: int = 1,
 ) -> OfPosition:
-    """Stress at rest of horizontal layers, for ``initial_stress``.
+    """Return the stress at rest in horizontal layers, for ``initial_stress``.
 
-    The vertical stress is the weight of what is above; horizontal ones are K0 times the vertical
-    effective one, less the pressure u of the water: sigma_h = K0 (sigma_v + u) - u. These are total
-    stresses, as a body of one phase has them whose density includes the pore water. For effective
-    stresses give layers their buoyant densities, and the body's weight the same.
+    The vertical stress is the weight of the layers above. The horizontal stress is K0 times the
+    effective vertical stress, minus the pore pressure u: sigma_h = K0 (sigma_v + u) - u. These are
+    total stresses. They suit a body of one phase whose density includes the pore water. For
+    effective stresses, give the layers and the body their buoyant densities.
 
     Args:
         tops: height of the top of each layer [m], from the surface downwards.
-        densities: of each layer [kg/m^3], below the water table those with the pore water.
-        K0: coefficient of earth pressure at rest of each layer [-]; one for all, if it is a number.
-        gravity: [m/s^2], downwards.
-        water_table: height of the water table [m], at or below the surface; None for none.
-        water_density: [kg/m^3].
-        axis: the vertical one, 1 for y (in the plane) or 2 for z.
+        densities: density of each layer [kg/m^3]. Below the water table it includes the pore water.
+        K0: coefficient of earth pressure at rest of each layer [-]. A number applies to all layers.
+        gravity: gravitational acceleration [m/s^2], which acts downwards.
+        water_table: height of the water table [m], at or below the surface. None if there is no
+            water.
+        water_density: density of the water [kg/m^3].
+        axis: vertical axis, 1 for y (in plane problems) or 2 for z.
 
     Returns:
-        Function of positions ``(3, n)`` [m] to stresses ``(3, 3, n)`` [Pa]; it raises ValueError
+        Function from positions ``(3, n)`` [m] to stresses ``(3, 3, n)`` [Pa]. It raises ValueError
         for positions above the surface.
 
     Raises:
-        ValueError: for layers that are not from the surface downwards, numbers of values that
-            differ, or values that are not positive (K0: negative) and finite.
+        ValueError: if the layers are not ordered from the surface downwards, the numbers of values
+            differ, densities are not positive and finite, or K0 is negative or not finite.
     """
     top = np.atleast_1d(finite(tops, "tops of layers"))
     density = np.atleast_1d(finite(densities, "densities of layers"))
@@ -54,15 +55,17 @@ def k0_state(
     ratio = np.broadcast_to(ratio, density.shape) if ratio.size == 1 else ratio
     if not (top.ndim == 1 and top.shape == density.shape == ratio.shape):
         raise ValueError(
-            f"layers need a top, a density and a K0 each: {top.size}, {density.size} and "
-            f"{ratio.size} were given"
+            f"each layer needs a top, a density and a K0, but {top.size}, {density.size} and "
+            f"{ratio.size} values were given"
         )
     if np.any(np.diff(top) >= 0):
-        raise ValueError(f"layers go from the surface downwards: tops = {top.tolist()} m")
+        raise ValueError(
+            f"the tops of layers must decrease, from the surface downwards: {top.tolist()} m"
+        )
     if np.any(density <= 0) or np.any(ratio < 0):
         raise ValueError(
-            f"densities must be positive and K0 not negative: {density.tolist()} kg/m^3, "
-            f"{ratio.tolist()}"
+            f"densities must be positive and K0 not negative: densities = {density.tolist()} "
+            f"kg/m^3, K0 = {ratio.tolist()}"
         )
     if axis not in (1, 2):
         raise ValueError(f"the vertical axis is 1 for y or 2 for z, not {axis}")
@@ -73,7 +76,7 @@ def k0_state(
             f"the water table must not be above the surface: {water_table} m > {top[0]} m. Give "
             "open water as a layer with K0 = 1"
         )
-    above = np.concatenate([[0.0], np.cumsum(density[:-1] * -np.diff(top))])  # mass by area
+    above = np.concatenate([[0.0], np.cumsum(density[:-1] * -np.diff(top))])  # mass per area
 
     def at_rest(x: Array) -> Array:
         y = x[axis]

@@ -2,8 +2,8 @@
 """Updated Lagrangian kinematics at material points.
 
 The unknown of a step is the displacement increment u from x_n to x_{n+1} on the undeformed
-background mesh, on which integrals are taken with the volumes V_n. Tensors are 3x3, in plane
-strain too.
+background mesh. Integrals are taken on this mesh with the volumes V_n. Tensors are 3x3, also in
+plane strain.
 """
 
 from __future__ import annotations
@@ -16,37 +16,47 @@ from fenicsmpm.points import MaterialPoints
 
 
 def embed(A: Any) -> Any:
-    """3x3 tensor with the given 2x2 or 3x3 one in its corner, zeros elsewhere."""
+    """Return the 3x3 tensor whose leading block is the given one, with zeros elsewhere.
+
+    Args:
+        A: tensor ``(2, 2)`` or ``(3, 3)``, UFL.
+    """
     if A.ufl_shape == (3, 3):
         return A
     return ufl.as_tensor([[A[0, 0], A[0, 1], 0], [A[1, 0], A[1, 1], 0], [0, 0, 0]])
 
 
 def gradient_before(points: MaterialPoints) -> Any:
-    """Deformation gradient at the beginning of a step, 3x3 UFL: field "F", or I without one."""
+    """Return the deformation gradient F_n at the start of a step ``(3, 3)``, UFL.
+
+    It is the field "F" of the points, or the identity if they have no such field.
+
+    Args:
+        points: the point set.
+    """
     return points.field("F") if "F" in points else ufl.Identity(3)
 
 
 class Kinematics:
-    """Deformation of a step at the points, as UFL expressions.
+    """Deformation of the points in a step, as UFL expressions.
 
     Args:
-        u: displacement increment of the step [m].
-        points: material points; their field "F" (3x3), if they have one, is the deformation
-            gradient at the beginning of the step, otherwise they are undeformed.
+        u: displacement increment of the step ``(d,)`` [m].
+        points: material points. Their field "F" ``(3, 3)`` is the deformation gradient at the start
+            of the step. Points without this field are undeformed.
 
     Attributes:
         points: the material points.
-        u: displacement increment of the step [m].
-        f: gradient of the increment's motion, I + grad(u), d x d.
-        j: det f, ratio of the volumes V_{n+1} / V_n.
-        F: deformation gradient f F_n, 3x3.
-        J: det F.
-        J_n: det F_n, ratio of the volumes V_n / V_0.
+        u: displacement increment of the step ``(d,)`` [m].
+        f: incremental deformation gradient I + grad(u), ``(d, d)`` [-].
+        j: det f, the ratio of the volumes V_{n+1} / V_n [-].
+        F: deformation gradient f F_n, ``(3, 3)`` [-].
+        J: det F [-].
+        J_n: det F_n, the ratio of the volumes V_n / V_0 [-].
     """
 
     def __init__(self, u: Any, points: MaterialPoints) -> None:
-        """Write down f, j, F and J."""
+        """Define f, j, F and J."""
         dim = points.mesh.geometry.dim
         self.points, self.u = points, u
         self.f = ufl.Identity(dim) + ufl.grad(u)
@@ -57,7 +67,10 @@ class Kinematics:
         self.J = self.j * self.J_n
 
     def cofactor(self) -> Any:
-        """Cofactor j f^-T, without a division: turns areas of step n and gradients times j."""
+        """Return the cofactor j f^-T of f ``(d, d)`` [-], UFL, computed without a division.
+
+        It maps area vectors at t_n to those at t_{n+1}, and gradients to j times spatial gradients.
+        """
         f = self.f
         if f.ufl_shape == (2, 2):
             return ufl.as_tensor([[f[1, 1], -f[1, 0]], [-f[0, 1], f[0, 0]]])
@@ -66,9 +79,17 @@ class Kinematics:
         return ufl.as_tensor([ufl.cross(b, c), ufl.cross(c, a), ufl.cross(a, b)])
 
     def grad(self, g: Any) -> Any:
-        """Spatial gradient of a function g on the background mesh: its gradient times f^-1."""
+        """Return the spatial gradient of a function on the background mesh, UFL.
+
+        Args:
+            g: scalar or vector on the background mesh, UFL.
+        """
         return ufl.dot(ufl.grad(g), ufl.inv(self.f))
 
     def div(self, w: Any) -> Any:
-        """Spatial divergence."""
+        """Return the spatial divergence of a vector on the background mesh, UFL.
+
+        Args:
+            w: vector ``(d,)`` on the background mesh, UFL.
+        """
         return ufl.tr(self.grad(w))

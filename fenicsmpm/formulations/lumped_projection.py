@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Projection of what points have to the grid, as a coefficient of UFL forms."""
+"""Lumped projection from the points to the grid, as a coefficient of UFL forms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fenicsmpm.transfer.points_to_grid import p2g
 
 
 def all_coefficients(form: ufl.Form) -> Iterator[Any]:
-    """Coefficients of a form and of what is projected in it.
+    """Yield the coefficients of a form, including those of its projected expressions.
 
     Args:
         form: UFL form.
@@ -33,30 +33,33 @@ def all_coefficients(form: ufl.Form) -> Iterator[Any]:
 class LumpedProjection(fem.Function):
     """Lumped projection of UFL over points: sum_p N_I(x_p) V_p f_p / sum_p N_I(x_p) V_p, P1.
 
-    It is up to date whenever a form with it is assembled; ``evaluate`` at points takes the last
-    values. If f depends on the unknown, so does the
-    projection, and ``NewtonSolver`` takes that into the tangent; ``ufl.derivative`` alone does not
-    see it. Nodes without points have zero.
+    The projection is updated whenever a form that contains it is assembled. ``evaluate`` at points
+    uses the last values. If f depends on the unknown, so does the projection. ``NewtonSolver``
+    includes this dependence in the tangent, but ``ufl.derivative`` alone does not. The projection
+    is zero at nodes without points.
 
     Args:
-        points: material points with volumes V_p as weights [m^d].
-        expression: f, a scalar or vector, which may have the unknown and fields of the points.
+        points: material points with the volumes V_p as weights [m^d].
+        expression: scalar or vector f, UFL, which may contain the unknown and fields of the points.
 
     Attributes:
-        points: as above.
-        sums: UFL of the sums, rank 1.
-        is_held: whether forms leave it as it is.
+        points: the material points.
+        sums: UFL form of rank 1 for the sums in the numerator.
+        is_held: whether assembly leaves the values unchanged.
 
     Raises:
-        ValueError: for a tensor, or if f has another projection in it.
+        ValueError: if f is a tensor or contains another projection.
     """
 
     def __init__(self, points: MaterialPoints, expression: Any) -> None:
-        """Compile the sums (collective)."""
+        """Compile the form of the sums (collective)."""
         expression = ufl.as_ufl(expression)
         shape = expression.ufl_shape
         if len(shape) > 1:
-            raise ValueError(f"a scalar or a vector is projected, not a tensor of shape {shape}")
+            raise ValueError(
+                f"only scalars and vectors can be projected, not a tensor of shape {shape}: "
+                "project its components"
+            )
         space = fem.functionspace(points.mesh, ("Lagrange", 1, shape) if shape else ("Lagrange", 1))
         super().__init__(space, name="projection")
         self.points = points
@@ -70,19 +73,19 @@ class LumpedProjection(fem.Function):
         self._weights: npt.NDArray[np.float64] = np.empty(0)
 
     def volumes(self) -> la.Vector:
-        """Of the points at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""
+        """Return the volumes at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""
         points = self.points
         known = self._volumes is not None and self._version == points.version
         is_same = known and np.array_equal(self._weights, points.weight)
         if not points.mesh.comm.allreduce(is_same, MPI.LAND):
             self._version, self._weights = points.version, points.weight.copy()
-            # what is zero but for round-off would give any mean
+            # a quotient of sums that are pure round-off could have any value
             self._volumes = p2g(points, points.weight, self.function_space, rounded=True)
         assert self._volumes is not None
         return self._volumes
 
     def follow_points(self) -> None:
-        """Project anew, unless held; forms do it before each use (collective)."""
+        """Update the projection unless it is held; forms call this before each use (collective)."""
         if self.is_held:
             return
         sums = forms.assemble_vector(self._compiled)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mid-point rule, which conserves momenta, and energy with the right stress."""
+"""The mid-point rule, which conserves momenta, and with a suitable stress also energy."""
 
 from __future__ import annotations
 
@@ -18,32 +18,35 @@ class Midpoint(TimeScheme):
     """Mid-point rule (conservation paper, equations 22 to 24): v_m = u / dt, a_m = (v - v_n) / dt.
 
     Velocities are mapped to the grid with the effective mass (1 - epsilon) M + epsilon M_lumped
-    (equations 18 and 26), the same as that of inertia. With the consistent mass and FLIP, mapping
-    keeps momenta and the energy that the grid gains (tables 1 and 2). Loads that depend on time are
-    to be taken in the middle of a step, and so are stresses: ``EnergyMomentum``,
-    ``MixedEnergyMomentum``, or those of U / 2. With stresses of the whole U, as in ``mixed``, the
-    method is of first order and damps strongly.
+    (equations 18 and 26). The inertia uses the same mass. With the consistent mass and FLIP, the
+    mapping conserves momenta and the energy that the grid gains (tables 1 and 2).
+
+    Time-dependent loads and stresses must be evaluated at the middle of a step. Suitable stresses
+    are ``EnergyMomentum``, ``MixedEnergyMomentum``, or any stress computed from U / 2. With
+    stresses at the full U, as in ``mixed``, the method is of first order and strongly dissipative.
 
     Args:
-        unknown: with a part that moves the points, the displacement increment u [m].
+        unknown: unknown with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
-        flip: 1 for FLIP (equation 29), 0 for PIC (equation 28), or between.
+        flip: share of FLIP in the velocity update [-], from 0 (PIC, equation 28) to 1 (FLIP,
+            equation 29).
         lumping: share epsilon of the lumped mass [-].
 
     Attributes:
-        dt: length of the present step, which the time loop sets.
-        histories: grid function of each field that is mapped from points, by the field's name.
-        increment: displacement increment u of the step [m].
-        acceleration: in the middle of the step [m/s^2].
+        dt: length of the current step [s], a constant that the time loop sets.
+        histories: grid functions of the fields that are mapped from the points, by field name.
+        increment: displacement increment u of the step ``(d,)`` [m], UFL.
+        acceleration: acceleration at the middle of the step ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: for a time step that is not positive and finite, shares beyond [0, 1].
+        ValueError: if the time step is not positive and finite, a share lies outside [0, 1], or no
+            part of the unknown moves the points.
     """
 
     def __init__(
         self, unknown: Unknown, *, dt: float, flip: float = 1.0, lumping: float = 0.0
     ) -> None:
-        """Write down velocity and acceleration."""
+        """Define velocity and acceleration."""
         super().__init__(unknown, dt, flip, ("v",))
         if not 0 <= lumping <= 1:
             raise ValueError(f"the share of the lumped mass must lie in [0, 1]: {lumping}")
@@ -53,7 +56,16 @@ class Midpoint(TimeScheme):
         self.acceleration = (self._velocity - self.histories["v"]) / self.dt
 
     def inertia(self, points: MaterialPoints) -> ufl.Form:
-        """See ``TimeScheme``; with the effective mass (equation 18), as velocities are mapped."""
+        """Return the inertia (rho a, w) with the effective mass (equation 18).
+
+        Velocities are mapped to the grid with the same mass.
+
+        Args:
+            points: the body, with the field "mass" [kg].
+
+        Returns:
+            UFL form of rank 1 over the points.
+        """
         if self.lumping == 0:
             return super().inertia(points)
         if self.lumping == 1:
@@ -62,48 +74,55 @@ class Midpoint(TimeScheme):
         return (1 - self.lumping) * consistent + self.lumping * lumped
 
     def lumped(self, points: MaterialPoints) -> ufl.Form:
-        """See ``TimeScheme``.
+        """Return the inertia (rho a, w) with the lumped mass of the points; needs lumping = 1.
+
+        Args:
+            points: the body, with the field "mass" [kg].
+
+        Returns:
+            UFL form of rank 1 over the points.
 
         Raises:
-            ValueError: also for lumping < 1, when velocities are mapped with another mass.
+            ValueError: if lumping < 1, because velocities are then mapped with another mass, or if
+                the functions of the motion are not linear.
         """
         if self.lumping < 1:
             raise ValueError(
-                f"velocities are mapped with a share of {self.lumping:g} of the lumped mass: give "
-                "Midpoint lumping=1, or take scheme.inertia, which has the same share"
+                f"velocities are mapped with a share of {self.lumping:g} of the lumped mass: "
+                "create Midpoint with lumping=1, or use scheme.inertia, which has the same share"
             )
         return super().lumped(points)
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
-        """None: steps start from no motion, from where Newton's method needs the fewest iterations.
+        """Return no predictions: zero motion is where Newton's method needs the fewest iterations.
 
-        A motion that goes on as it was turns, stretches and presses together what only turns.
+        For a rotating body, an extrapolated motion would stretch and compress the body.
         """
         return []
 
     def middle(self, part: str) -> Any:
-        """Value of a history of the unknown in the middle of the step, UFL.
+        """Return the value of a history at the middle of the step, UFL.
 
         Args:
-            part: its name.
+            part: name of the history.
         """
         return (getattr(self.unknown.old, part) + getattr(self.unknown, part)) / 2
 
     def velocity(self) -> Any:
-        """Velocity on the grid in the middle of the step [m/s], UFL."""
+        """Return the grid velocity at the middle of the step ``(d,)`` [m/s], UFL."""
         return self.increment / self.dt
 
     @property
     def rates(self) -> tuple[Any, Any]:
-        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        """Derivatives of velocity [1/s] and acceleration [1/s^2] with respect to u, UFL."""
         return 1 / self.dt, 2 / self.dt**2
 
     def grid_velocity(self) -> Any:
-        """Velocity on the grid at the end of the step [m/s], UFL."""
+        """Return the grid velocity at the end of the step ``(d,)`` [m/s], UFL."""
         return self._velocity
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New values of the points' fields, as UFL over the points.
+        """Return the new values of the point fields, as UFL over the points.
 
         Args:
             points: the body.

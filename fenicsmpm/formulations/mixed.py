@@ -13,7 +13,7 @@ from fenicsmpm.points import MaterialPoints
 
 
 class MixedLaw(Protocol):
-    """What the mixed formulation and its stabilizations need of a material.
+    """Interface of materials for the mixed formulation and its stabilizations.
 
     Attributes:
         inverse_kappa: inverse of the bulk modulus [1/Pa], zero for incompressible materials.
@@ -22,16 +22,36 @@ class MixedLaw(Protocol):
     inverse_kappa: float
 
     def deviatoric_power(self, k: Kinematics, U: Any, V: Any) -> Any:
-        """Virtual work of the deviatoric stress per volume before the step [J/m^3]."""
+        """Return the virtual work of the deviatoric stress per volume V_n [J/m^3], UFL.
+
+        Args:
+            k: kinematics of the step.
+            U: function of the whole unknown.
+            V: its variation.
+        """
 
     def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
-        """What is to be zero, per volume before the step [-]."""
+        """Return the residual of the volumetric law, per volume V_n [-], UFL.
+
+        Args:
+            p: pressure [Pa], positive in tension.
+            k: kinematics of the step.
+        """
 
     def modulus(self, h_squared: Any) -> Any:
-        """Shear modulus [Pa] that stands for the resistance of a cell, by its h^2 [m^2]."""
+        """Return the shear modulus [Pa] that represents the resistance of a cell of size h.
+
+        Args:
+            h_squared: square of the cell size [m^2].
+        """
 
     def subscale_modulus(self, points: MaterialPoints, h_squared: Any) -> Any:
-        """Modulus [Pa] by which subscales resist their volumetric residual: tau_2 / 2."""
+        """Return the modulus tau_2 / 2 [Pa] by which subscales resist their volumetric residual.
+
+        Args:
+            points: the material points.
+            h_squared: square of the cell size [m^2].
+        """
 
 
 def mixed(
@@ -41,25 +61,30 @@ def mixed(
     *,
     force: Any = None,
 ) -> ufl.Form:
-    """Galerkin residual of the mixed formulation, equations 1 and 2 of VMS in weak form.
+    """Return the Galerkin residual of the mixed formulation (VMS, equations 1 and 2 in weak form).
 
-    (sigma_dev, grad w) + (p, div w) - (rho b, w) per current volume, and the law's volumetric
-    residual, of a solid U'(J)/kappa - p/kappa, times q per volume before the step.
+    The residual is (sigma_dev, grad w) + (p, div w) - (rho b, w) per current volume, plus q times
+    the volumetric residual of the law per volume V_n at the start of the step. For a solid this
+    residual is U'(J)/kappa - p/kappa.
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa] (mean stress,
-            tension positive).
-        points: material points with weights V_n [m^d].
+        z: unknown with the displacement increment u [m] and the pressure p [Pa] (mean stress,
+            positive in tension).
+        points: material points with the volumes V_n as weights [m^d].
         law: ``NeoHookean``, ``NewtonianFlow``, or another ``MixedLaw``.
-        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
+        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+            none.
 
     Returns:
         UFL form of rank 1.
+
+    Raises:
+        ValueError: if the unknown has no part u or p.
     """
     z.require("u", "p", of="the mixed formulation")
     k = Kinematics(z.u, points)
-    # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w;
-    # written like this, tangents need no inverse of f and cost a fraction
+    # D j[w] = j div w, and the variation of the energy is the stress power j sigma_dev : grad w.
+    # In this form the tangent needs no inverse of f, which makes it much cheaper.
     power = law.deviatoric_power(k, z.U, z.V) + z.p * ufl.derivative(k.j, z.U, z.V)
     constraint = law.volumetric_residual(z.p, k) * z.test.p
     residual = (power + constraint) * points.dx

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Energy and momenta kept by the mixed formulation of displacement and pressure."""
+"""Conservation of energy and momenta in the mixed displacement-pressure formulation."""
 
 from __future__ import annotations
 
@@ -18,54 +18,60 @@ from fenicsmpm.points import MaterialPoints
 
 
 class MixedEnergyMomentum(EnergyMomentum):
-    """Energy-momentum stress of a nearly or fully incompressible body, pressures as unknowns.
+    """Energy-momentum stress of nearly or fully incompressible bodies, with pressure unknowns.
 
-    The pressure of a step p acts on the change of volume, and does exactly the work p Delta J:
+    The pressure p of a step acts on the change of volume and does exactly the work p Delta J::
 
         S = S_iso + p Z,  Z : Delta C / 2 = Delta J
         (Delta J - Delta theta, q) - alpha / mu (Delta r, rough(q)) = 0  per initial volume
 
-    with S_iso and Z discrete derivatives of the isochoric energy and of J. Points carry the
-    volumetric strain theta of energy kappa theta^2 / 2, and a pressure r of energy
-    alpha r^2 / (2 mu), which stabilizes: the part of p that varies in a cell, rough(p) = p - p_K
-    (Dohrmann and Bochev), or where points see splines, rough(p) = h^2 grad grad p
-    (``hessian_penalty``). Both follow from their means over the step,
-    kappa (theta_n + theta_{n+1}) / 2 = p and (r_n + r_{n+1}) / 2 = rough(p). With the mid-point
-    rule, the consistent mass and FLIP, kinetic energy and all three of these together are constant.
-    What p cannot show of theta and r changes its sign from step to step: nothing damps it.
+    S_iso and Z are the discrete derivatives of the isochoric energy and of J. The points carry two
+    further fields. The volumetric strain theta has the energy kappa theta^2 / 2. The pressure r
+    stabilizes and has the energy alpha r^2 / (2 mu). Both fields follow from their means over the
+    step, kappa (theta_n + theta_{n+1}) / 2 = p and (r_n + r_{n+1}) / 2 = rough(p).
 
-    Nodes that few points see are to be tied, as the pressure is ill there, in both parts of the
-    space: ``cells.Tying(z.space, ...)``.
+    With linear functions, rough(p) = p - p_K is the part of p that varies within a cell (Dohrmann
+    and Bochev). With splines, rough(p) = h^2 grad grad p (``hessian_penalty``).
 
-    Volume is kept step by step, not since the start: J = 1 would have to correct what the last
-    cells left, and corrections do work.
+    With the mid-point rule, the consistent mass and FLIP, the sum of the kinetic energy and these
+    three energies is constant. The parts of theta and r that p cannot represent change their sign
+    from step to step, and nothing damps them.
+
+    Nodes with few points nearby must be tied in both parts of the space with
+    ``cells.Tying(z.space, ...)``, because the pressure is ill-conditioned there.
+
+    Volume is conserved from step to step, not relative to the start. To enforce J = 1, a step would
+    have to correct the errors of the cells that points have left, and these corrections do work.
 
     Args:
-        law: neo-Hookean law with volumetric="quadratic", whose p is linear in J; any for nu = 0.5.
+        law: neo-Hookean law with volumetric="quadratic", whose p is linear in J. For nu = 0.5 any
+            neo-Hookean law will do.
         points: the body, with the fields of ``set_initial_state``.
-        z: unknown with the increment of displacement u [m] and the pressure p of the step [Pa].
-        alpha: factor of the stabilization [-]; None for 1, or with splines 0.025.
+        z: unknown with the displacement increment u [m] and the pressure p of the step [Pa].
+        alpha: stabilization factor [-]. None for 1 with linear functions, or 0.025 with splines.
 
     Attributes:
-        algorithmic_stress: S from above [Pa], 3x3.
-        updates: new fields after a step, which time loops know: "theta" [-], "r" [Pa] (zero at
-            first) and those of the isochoric part. P, S and work are of that part only.
+        algorithmic_stress: the stress S above ``(3, 3)`` [Pa], UFL.
+        updates: new values of the point fields after a step, which time loops find and apply. These
+            are "theta" [-], "r" [Pa] (initially zero) and the fields of the isochoric part. P, S
+            and work belong to the isochoric part only.
 
     Raises:
-        ValueError: for spaces without pressure, other volumetric laws, a negative alpha, or one
-            that is not zero with uGIMP, or points that have a field "theta" or "r".
+        ValueError: if the unknown has no pressure, the volumetric law is another one, alpha is
+            negative or not finite, alpha is not zero with uGIMP, or the points already have a field
+            "theta" or "r".
     """
 
     def __init__(
         self, law: NeoHookean, points: MaterialPoints, z: Unknown, *, alpha: float | None = None
     ) -> None:
-        """Write down stress and strains."""
+        """Define the stress and add the fields "theta" and "r"."""
         z.require("u", "p", of="the mixed formulation")
         p = z.p
         if law.inverse_kappa > 0 and law.volumetric != "quadratic":
             raise ValueError(
-                f"energy is kept with volumetric='quadratic' only, as pressures are linear in J "
-                f"there: {law!r}"
+                f"{law!r} cannot conserve energy: use volumetric='quadratic', whose pressure is "
+                "linear in J"
             )
         self._is_smooth = functions_of(points) != "linear"
         if alpha is None:
@@ -76,7 +82,10 @@ class MixedEnergyMomentum(EnergyMomentum):
             require_second_derivatives(points, "the stabilization (alpha > 0)")
         taken = sorted({"theta", "r"} & set(points.field_names))
         if taken:
-            raise ValueError(f"the body has a field {taken[0]!r} already, which is to be made here")
+            raise ValueError(
+                f"the body already has a field {taken[0]!r}, which MixedEnergyMomentum must add: "
+                "use one stress object in all forms of a body, or rename your field"
+            )
         super().__init__(lambda F: law.energy(F, ufl.det(F)), points, z)
         self._law, self._alpha = law, alpha
         F, F_n = self.F, points.field("F")
@@ -95,7 +104,11 @@ class MixedEnergyMomentum(EnergyMomentum):
         self.updates = {**self.updates, **ends}
 
     def power(self) -> ufl.Form:
-        """Internal virtual work, and the constraint of the volume in weak form, of rank 1."""
+        """Return the internal virtual work and the volumetric constraint in weak form.
+
+        Returns:
+            UFL form of rank 1 over the points.
+        """
         q = self._z.test.p
         points, F_n = self._points, self._points.field("F")
 
@@ -108,13 +121,13 @@ class MixedEnergyMomentum(EnergyMomentum):
         return super().power() + constraint / ufl.det(F_n) * points.dx
 
     def _rough(self, f: Any) -> Any:
-        """What the stabilization takes for the rough part of a scalar function of the grid."""
+        """Return the rough part of a scalar grid function, as the stabilization defines it."""
         if self._is_smooth:
             return squared_size(self._points) * ufl.grad(ufl.grad(f))
         return f - ufl.cell_avg(f)
 
     def volumetric_energy(self) -> float:
-        """Energy of volumetric strain and stabilization [J] (collective)."""
+        """Return the energy of volumetric strain and stabilization [J] (collective)."""
         points, law = self._points, self._law
         psi = np.zeros(len(points))
         if law.inverse_kappa > 0:

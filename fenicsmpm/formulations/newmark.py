@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """One-step time integration of implicit dynamics: Newmark, generalized-alpha and Bossak.
 
-The unknown of a step is the displacement increment u on the background mesh. A scheme makes the
-acceleration from it, in UFL, with the velocity and acceleration of the beginning of the step as
-grid functions, which are mapped from fields of the points of the same name.
+The unknown of a step is the displacement increment u on the background mesh. A scheme expresses the
+acceleration in terms of u, in UFL. It uses velocity and acceleration at the start of the step as
+grid functions, which are mapped from the point fields of the same names.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from fenicsmpm.points import MaterialPoints
 
 
 class Newmark(TimeScheme):
-    """Newmark's method (VMS, section 3.3), and what its relatives have in common with it.
+    """Newmark's method (VMS, section 3.3).
 
-    With J = 1 imposed at every step, as in incompressible solids, the default is only weakly
-    stable: pressures alternate and energy grows. ``GeneralizedAlpha`` is meant for these.
+    If J = 1 is imposed in every step, as in incompressible solids, the default parameters are only
+    weakly stable: pressures alternate and the energy grows. Use ``GeneralizedAlpha`` in this case.
 
     Args:
-        unknown: with a part that moves the points, the displacement increment u [m].
+        unknown: unknown with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
-        beta: parameter [-].
-        gamma: parameter [-].
-        flip: 1 for the trapezoidal FLIP update of the points' velocities, 0 for PIC, or between.
+        beta: parameter [-], positive.
+        gamma: parameter [-], at least 0.5.
+        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP, trapezoidal).
 
     Attributes:
-        dt: length of the present step, which the time loop sets.
-        histories: grid function of each field that is mapped from points, by the field's name.
-        increment: displacement increment of the whole step, u_{n+1} - u_n [m].
-        acceleration: at which inertia is taken [m/s^2].
+        dt: length of the current step [s], a constant that the time loop sets.
+        histories: grid functions of the fields that are mapped from the points, by field name.
+        increment: displacement increment of the whole step, u_{n+1} - u_n ``(d,)`` [m], UFL.
+        acceleration: acceleration in the inertia term ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: for a time step that is not positive and finite, parameters out of range.
+        ValueError: if the time step is not positive and finite, a parameter is out of range, or no
+            part of the unknown moves the points.
     """
 
     alpha_m = 0.0
@@ -54,7 +55,7 @@ class Newmark(TimeScheme):
         gamma: float = 0.5,
         flip: float = 1.0,
     ) -> None:
-        """Write down the acceleration."""
+        """Define the acceleration."""
         super().__init__(unknown, dt, flip, ("v", "a"))
         if not (beta > 0 and gamma >= 0.5):
             raise ValueError(
@@ -66,7 +67,7 @@ class Newmark(TimeScheme):
         self._beta, self._gamma, self._alpha_m, self._share = constants
         v, a = self.histories["v"], self.histories["a"]
         dt_, beta_ = self.dt, self._beta
-        # the equations hold at n + 1 - alpha_f, so u is only a share of the step's increment
+        # The equations hold at n + 1 - alpha_f, so u is only a share of the step's increment.
         self.increment = self.u / self._share
         predicted = dt_ * v + dt_**2 * (0.5 - beta_) * a
         self._new_acceleration = (self.increment - predicted) / (beta_ * dt_**2)
@@ -74,34 +75,38 @@ class Newmark(TimeScheme):
 
     @property
     def share(self) -> float:  # type: ignore[override]
-        """Share of the step at whose end the equations hold, 1 - alpha_f; u is that share."""
+        """Share of the step that u covers, 1 - alpha_f [-]; the equations hold at its end."""
         return float(self._share.value)
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
-        """Constant acceleration, and constant velocity."""
+        """Return the increments [m] for constant acceleration and for constant velocity.
+
+        Returns:
+            Degrees of freedom of u, one array for each prediction, the most ambitious one first.
+        """
         (steady,) = super().predictions()
         dt = self.share * float(self.dt.value)
         return [steady + dt**2 / 2 * self.histories["a"].x.array, steady]
 
     def velocity(self) -> Any:
-        """Velocity on the grid when the equations hold [m/s], UFL."""
+        """Return the grid velocity at the time at which the equations hold ``(d,)`` [m/s], UFL."""
         return self._share * self.grid_velocity() + (1 - self._share) * self.histories["v"]
 
     @property
     def rates(self) -> tuple[Any, Any]:
-        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        """Derivatives of velocity [1/s] and acceleration [1/s^2] with respect to u, UFL."""
         velocity = self._gamma / (self._beta * self.dt)
         return velocity, (1 - self._alpha_m) / (self._beta * self.dt**2 * self._share)
 
     def grid_velocity(self) -> Any:
-        """Velocity on the grid at the end of the step [m/s], UFL."""
+        """Return the grid velocity at the end of the step ``(d,)`` [m/s], UFL."""
         return self.histories["v"] + self._velocity_change(self.histories["a"])
 
     def _velocity_change(self, a: Any) -> Any:
         return self.dt * ((1 - self._gamma) * a + self._gamma * self._new_acceleration)
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New values of the points' fields, as UFL over the points.
+        """Return the new values of the point fields, as UFL over the points.
 
         Args:
             points: the body.
@@ -111,11 +116,11 @@ class Newmark(TimeScheme):
         return {"v": velocity, "a": self._new_acceleration}
 
     def start_up(self, on: bool) -> None:
-        """Switch to a step that does not use the acceleration before it, or back.
+        """Switch to a step that does not use the previous acceleration, or back.
 
         Args:
-            on: whether the next step is to find the acceleration at the start, as a constant one
-                over a step (beta = 1/2, gamma = 1).
+            on: True for a step that finds the initial acceleration, which is then constant over the
+                step (beta = 1/2, gamma = 1).
         """
         values = (0.5, 1.0, 0.0, 1.0) if on else self._parameters
         for constant, value in zip(
@@ -136,20 +141,25 @@ class Newmark(TimeScheme):
 class GeneralizedAlpha(Newmark):
     """Generalized-alpha method of Chung and Hulbert (1993), second order with chosen dissipation.
 
-    The equations hold at n + 1 - alpha_f, whose displacement increment and pressure are the
-    unknowns; inertia is taken at n + 1 - alpha_m.
+    The equations hold at n + 1 - alpha_f. The unknowns are the displacement increment until then
+    and the pressure at that time. Inertia is evaluated at n + 1 - alpha_m.
 
     Args:
-        unknown: as there, with the displacement increment [m] until n + 1 - alpha_f.
+        unknown: unknown with a part that moves the points, the displacement increment u [m] until n
+            + 1 - alpha_f.
         dt: time step [s].
-        rho_inf: spectral radius at infinite frequency, 0 to 1: less dissipates more.
-        flip: see ``Newmark``.
+        rho_inf: spectral radius at infinite frequency [-], from 0 to 1. Smaller values dissipate
+            more.
+        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
+
+    Raises:
+        ValueError: if the spectral radius lies outside [0, 1], or for the reasons of ``Newmark``.
     """
 
     def __init__(
         self, unknown: Unknown, *, dt: float, rho_inf: float = 0.8, flip: float = 1.0
     ) -> None:
-        """Find the parameters."""
+        """Compute the parameters from the spectral radius."""
         if not 0 <= rho_inf <= 1:
             raise ValueError(f"the spectral radius must lie in [0, 1]: rho_inf = {rho_inf}")
         self.alpha_m, self.alpha_f = self._alphas(rho_inf)
@@ -162,9 +172,10 @@ class GeneralizedAlpha(Newmark):
 
 
 class Bossak(GeneralizedAlpha):
-    """Method of Wood, Bossak and Zienkiewicz (1980): generalized-alpha with alpha_f = 0.
+    """Method of Wood, Bossak and Zienkiewicz (1980), generalized-alpha with alpha_f = 0.
 
-    All but inertia holds at the end of the step. Arguments as for ``GeneralizedAlpha``.
+    All terms except inertia are evaluated at the end of the step. The arguments are those of
+    ``GeneralizedAlpha``.
     """
 
     @staticmethod

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Flow of an incompressible Newtonian fluid in displacement and pressure."""
+"""Incompressible Newtonian flow with displacement and pressure as unknowns."""
 
 from __future__ import annotations
 
@@ -20,28 +20,33 @@ from fenicsmpm.points.point_field import PointField
 class NewtonianFlow:
     """Incompressible Newtonian fluid sigma = 2 mu sym(grad v) + p I, for ``mixed`` (CMN).
 
-    The velocity is that of the time scheme, the unknown of a step its displacement, as for solids.
-    The pressure keeps the volume of each whole step, det f = 1, in the weak sense of its functions,
-    and points keep theirs. Were these to follow det F, which is not 1 at each of them, then cells
-    whose points have shrunk would resist the pressure around them less and shrink further: water at
-    rest would break up at the rate sqrt(p / rho) / h. For the same reason det F = 1 since the start
-    is not asked for.
+    The unknown of a step is the displacement increment, as for solids. The time scheme gives the
+    velocity. The pressure enforces det f = 1 in each step, weakly with the pressure functions.
 
-    Stabilization (after R. Codina, CMAME 191, 2002, in terms of displacements) has for subscales of
-    displacement viscosity and inertia, 1 / tau_1 = rho r_a + 2 mu r_v / h^2, with the changes of
-    velocity r_v u and of acceleration r_a u in a step; for those of the pressure
-    tau_2 = (2 mu + rho c h) r_v with ``c^2 = v^2 + |p| / rho``, the rate at which points are
-    brought out of order.
+    Points keep their volumes. They do not follow det F, which is not 1 at each single point.
+    Otherwise, cells whose points have shrunk would resist the surrounding pressure less and shrink
+    further, and water at rest would break up at the rate sqrt(p / rho) / h. For the same reason,
+    det F = 1 since the start is not enforced.
+
+    The stabilization follows R. Codina, CMAME 191, 2002, written in displacements. The subscales of
+    displacement have viscosity and inertia, 1 / tau_1 = rho r_a + 2 mu r_v / h^2. Here r_v u is the
+    change of velocity and r_a u the change of acceleration in a step. The subscales of pressure
+    have tau_2 = (2 mu + rho c h) r_v with ``c^2 = v^2 + |p| / rho``, the rate at which the points
+    become disordered.
 
     Args:
         mu: dynamic viscosity [Pa s], positive.
-        density: [kg/m^d], positive.
+        density: density [kg/m^d], positive.
         scheme: time scheme of the unknown.
-        correction: share of the errors of volume so far that a step takes back [-], however long it
-            is. A fluid alone needs none; beside a solid it makes up for the solid's own errors.
+        correction: share of the accumulated volume error that one step corrects [-], whatever its
+            length. A fluid alone needs no correction. Next to a solid, it compensates the volume
+            errors of the solid.
+
+    Attributes:
+        inverse_kappa: inverse of the bulk modulus [1/Pa], zero.
 
     Raises:
-        ValueError: for parameters out of range.
+        ValueError: if a parameter is out of range.
     """
 
     inverse_kappa = 0.0
@@ -54,43 +59,59 @@ class NewtonianFlow:
         self.density = positive(density, "density", "density", "kg/m^d")
         self.correction = number(correction, "correction", "correction of volume", "-")
         if not 0 <= self.correction <= 1:
-            raise ValueError(f"the correction of volume is a share from 0 to 1: {correction}")
+            raise ValueError(f"the correction of volume must lie in [0, 1]: {correction}")
         self.scheme = scheme
 
     def deviatoric_power(self, k: Kinematics, U: Any, V: Any) -> Any:
-        """Virtual work of viscous stress per volume before the step [J/m^3].
+        """Return the virtual work of the viscous stress per volume V_n [J/m^3], UFL.
 
         Args:
-            k: ``Kinematics`` of the step.
-            U: function of the unknown.
+            k: kinematics of the step.
+            U: function of the whole unknown.
             V: its variation.
 
         Raises:
-            ValueError: for the unknown of another time scheme.
+            ValueError: if the unknown is not that of the time scheme.
         """
         if U is not self.scheme.unknown.U:
-            raise ValueError("the time scheme of the fluid is one of another unknown")
+            raise ValueError(
+                "the time scheme of the fluid belongs to another unknown: create the scheme and "
+                "the formulation with the same Unknown"
+            )
         rate = ufl.sym(k.grad(self.scheme.velocity()))
         w = ufl.derivative(self.scheme.u, U, V)
         return 2 * self.mu * k.j * ufl.inner(rate, k.grad(w))
 
     def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
-        """Change of volume in the whole step, and the correction of earlier ones [-].
+        """Return the volume change of the whole step plus a share of earlier errors [-], UFL.
+
+        Args:
+            p: pressure [Pa], which an incompressible fluid does not need here.
+            k: kinematics of the step.
 
         Raises:
-            ValueError: for points of another density.
+            ValueError: on all ranks, if the density of a point differs from that of the fluid.
         """
         change = Kinematics(self.scheme.increment, k.points).j - 1
         correction = fem.Constant(k.points.mesh, float(self.correction))
         return change + correction * self._dilation(k.points)
 
     def modulus(self, h_squared: Any) -> Any:
-        """Shear modulus [Pa] to which viscosity and inertia amount in cells of size h."""
+        """Return the shear modulus [Pa] equivalent to viscosity and inertia in cells of size h.
+
+        Args:
+            h_squared: square of the cell size [m^2].
+        """
         velocity, acceleration = self.scheme.rates
         return self.mu * velocity + self.density * acceleration * h_squared / 2
 
     def subscale_modulus(self, points: MaterialPoints, h_squared: Any) -> Any:
-        """Shear modulus [Pa] of viscosity, of motion and of pressure in cells of size h."""
+        """Return the shear modulus [Pa] equivalent to viscosity, motion and pressure in a cell.
+
+        Args:
+            points: the fluid, with the field "v". A missing field "p" is added.
+            h_squared: square of the cell size [m^2].
+        """
         if "p" not in points:
             points.add_field("p")
         v, p = points.field("v"), points.field("p")
@@ -98,12 +119,13 @@ class NewtonianFlow:
         return (self.mu + self.density * ufl.sqrt(squared * h_squared) / 2) * self.scheme.rates[0]
 
     def _dilation(self, points: MaterialPoints) -> PointField:
-        """Sum of det f - 1 so far, whose renewal keeps the volumes of the points (collective)."""
+        """Return the sum of det f - 1 so far; its renewal keeps the point volumes (collective)."""
         found = points["mass"] / points["V_0"]
         wrong = found[~(np.abs(found / self.density - 1) < _SAME)]
         error = (
             ValueError(
-                f"points of a density of {wrong[0]:g} kg/m^d in a fluid of {self.density:g} kg/m^d"
+                f"a point has the density {wrong[0]:g} kg/m^d, but the fluid has "
+                f"{self.density:g} kg/m^d: give set_initial_state the density of the fluid"
             )
             if len(wrong)
             else None
@@ -113,7 +135,7 @@ class NewtonianFlow:
             points.add_field("dilation")
         field = points.field("dilation")
         j = Kinematics(self.scheme.increment, points).j
-        # a point that a step turns inside out must not go unseen
+        # The volumes are kept, but a point that a step turns inside out must still be detected.
         J = ufl.conditional(j > 0, points.field("J"), j)
         field.renewals = {"F": points.field("F"), "J": J, "dilation": field + j - 1}
         return field

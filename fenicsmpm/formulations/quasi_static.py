@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Steps without inertia, in which time is what loads depend on."""
+"""Quasi-static steps without inertia, in which time only controls the loads."""
 
 from __future__ import annotations
 
@@ -15,44 +15,45 @@ from fenicsmpm.points import MaterialPoints
 
 
 class QuasiStatic(TimeScheme):
-    """Equilibrium at the end of each load step.
+    """Quasi-static scheme: equilibrium at the end of each load step.
 
-    Steps of ``ImplicitMPM.run`` shrink where they fail and may grow where they are easy.
+    ``ImplicitMPM.run`` shortens steps that fail and may lengthen steps that converge quickly.
 
     Args:
-        unknown: with a part that moves the points, the displacement increment u [m].
-        dt: load step, in terms of the time on which loads depend [s].
+        unknown: unknown with a part that moves the points, the displacement increment u [m].
+        dt: load step, in units of the time that controls the loads [s].
 
     Attributes:
-        dt: length of the present step, which the time loop sets.
-        increment: displacement increment u of the step [m].
-        acceleration: zero.
+        dt: length of the current step [s], a constant that the time loop sets.
+        increment: displacement increment u of the step ``(d,)`` [m], UFL.
+        acceleration: zero ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: for a step that is not positive and finite.
+        ValueError: if the step is not positive and finite, or no part of the unknown moves the
+            points.
     """
 
     def __init__(self, unknown: Unknown, *, dt: float) -> None:
-        """Write down that nothing accelerates."""
+        """Set the acceleration to zero."""
         super().__init__(unknown, dt, 0.0, ())
         self.increment = self.u
         self.acceleration = ufl.zero(unknown.mesh.geometry.dim)
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
-        """None: load steps start from no motion."""
+        """Return no predictions: load steps start from zero displacement."""
         return []
 
     @property
     def rates(self) -> tuple[Any, Any]:
-        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        """Derivatives of velocity [1/s] and acceleration [1/s^2] with respect to u, UFL."""
         return 1 / self.dt, ufl.as_ufl(0.0)
 
     def grid_velocity(self) -> Any:
-        """Mean velocity on the grid in the step [m/s], UFL."""
+        """Return the mean grid velocity of the step ``(d,)`` [m/s], UFL."""
         return self.increment / self.dt
 
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New values of the points' fields, as UFL over the points.
+        """Return the new values of the point fields, as UFL over the points.
 
         Args:
             points: the body.

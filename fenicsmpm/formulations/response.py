@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a material answers to a deformation gradient, in forms over points."""
+"""Response of a material to a deformation gradient, in forms over points."""
 
 from __future__ import annotations
 
@@ -27,24 +27,26 @@ class Response:
     """Stress and work of a material as UFL over the points.
 
     Args:
-        material: a law at points, or an energy per initial volume ``psi(F)`` [J/m^3] in UFL. The
-            tangent of a law that has none is found by differences of its stress.
-        points: the body; a law's state is in fields that have its names, added if missing.
-        F: deformation gradient, UFL expression 3x3. For a law with a state it must be that at the
-            end of the step, where the state is found: not one of the middle, nor of
-            generalized-alpha's in-between time.
+        material: law at points, or UFL energy per initial volume ``psi(F)`` [J/m^3]. If a law has
+            no tangent, it is computed by finite differences of the stress.
+        points: the body. The state of the law is stored in fields of the same names, which are
+            added if missing.
+        F: deformation gradient ``(3, 3)``, UFL. For a law with a state it must be the one at the
+            end of the step, where the state is computed. It must not be the one at the middle of
+            the step or at the intermediate time of generalized-alpha.
 
     Attributes:
-        F: the deformation gradient.
-        P: first Piola-Kirchhoff stress [Pa], 3x3.
-        updates: new fields of the state after a step that ends with F; time loops know them.
+        F: the deformation gradient ``(3, 3)``, UFL.
+        P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL.
+        updates: new values of the state fields after a step that ends with F. Time loops find and
+            apply them.
 
     Raises:
-        ValueError: for a law that depends on velocities.
+        ValueError: if the law depends on velocities.
     """
 
     def __init__(self, material: Law | Energy, points: MaterialPoints, F: Any) -> None:
-        """Write down stress and work."""
+        """Define stress and work."""
         self.F, self._material = F, material
         self.updates: Mapping[str, Any] = {}
         if not isinstance(material, Law):
@@ -57,16 +59,16 @@ class Response:
                 points.add_field(name, shape, value)
         computed = _Computed(material, points, F)
         self.updates = computed.renewals
-        # Linear in F about the gradient F_0 for which the law was called: as this is the present
-        # one whenever a form is assembled, values are those of the law and ufl.derivative finds its
-        # tangent.
+        # P is linear in F about the gradient F_0 for which the law was called. F_0 equals F
+        # whenever a form is assembled. Therefore values are those of the law, and ufl.derivative
+        # finds its tangent.
         change = F - computed.field("F_0", (3, 3))
         P_0, tangent = computed.field("P_0", (3, 3)), computed.field("dPdF", (3, 3, 3, 3))
         i, j, k, m = ufl.indices(4)
         self.P = P_0 + ufl.as_tensor(tangent[i, j, k, m] * change[k, m], (i, j))
         self._work = None
         if material.energy is not None:
-            # d work = P : dF where plastic work is either stored or dissipated
+            # d work = P : dF if all plastic work is either stored or dissipated
             gradient = P_0
             if material.work_gradient is not None:
                 gradient = computed.field("work_gradient", (3, 3))
@@ -74,10 +76,10 @@ class Response:
 
     @property
     def work(self) -> Any:
-        """Free energy and what was dissipated, per initial volume [J/m^3].
+        """Free energy plus dissipated work, per initial volume [J/m^3], UFL.
 
         Raises:
-            ValueError: for a law without an energy.
+            ValueError: if the law has no energy.
         """
         if self._work is None:
             raise ValueError(
@@ -87,18 +89,18 @@ class Response:
 
     @property
     def S(self) -> Any:
-        """Second Piola-Kirchhoff stress F^-1 P [Pa], 3x3."""
+        """Second Piola-Kirchhoff stress F^-1 P ``(3, 3)`` [Pa], UFL."""
         return ufl.inv(self.F) * self.P
 
 
 class _Computed:
-    """What a law returns at all points, computed when F, state or parameters have changed."""
+    """Results of a law at all points, recomputed when F, state or parameters have changed."""
 
     def __init__(self, law: Law, points: MaterialPoints, F: Any) -> None:
         if law.needs_rate:
             raise ValueError(
-                f"a law in forms needs no velocities: {law!r} needs them. If its function does "
-                "not read L, give needs_rate=False."
+                f"{law!r} depends on velocities, which is not possible in forms: if its function "
+                "does not use L, create it with needs_rate=False"
             )
         self._law, self._points = law, points
         self._F = PointExpression(F, points)
@@ -115,13 +117,13 @@ class _Computed:
         }
 
     def field(self, name: str, shape: tuple[int, ...]) -> ComputedField:
-        """One of the results as a coefficient, by its name in ``update``."""
+        """Return one of the results as a coefficient, by its name in ``update``."""
         result = ComputedField(self._points, name, shape, self.update, lambda: self._values[name])
         result.renewals, result.source = self.renewals, self._law
         return result
 
     def _new_field(self, name: str) -> Callable[[], Array]:
-        """Function that returns a field of the state after the step."""
+        """Return a function that returns a state field after the step."""
 
         def read() -> Array:
             self.update()
@@ -130,7 +132,7 @@ class _Computed:
         return read
 
     def update(self) -> None:
-        """Call the law, unless it was called for the same deformation and state."""
+        """Call the law, unless it was already called for the same deformation and state."""
         law, points = self._law, self._points
         F, old = self._F.evaluate(), state_of(law, points)
         known = (points.version, law.parameters.tobytes())
@@ -155,18 +157,18 @@ class _Computed:
 
 @compiled
 def _zero(F, parameters, state):  # type: ignore[no-untyped-def]
-    """Energy of a law that has none; nobody asks for it."""
+    """Return zero as the energy of a law without an energy; the value is never used."""
     return 0.0
 
 
 @compiled
 def _no_gradient(F, parameters, state, G):  # type: ignore[no-untyped-def]
-    """Work gradient of a law that has none."""
+    """Do nothing, for a law without a work gradient."""
 
 
 @functools.cache
 def _evaluation(update: Any, tangent: Any, energy: Any, work_gradient: Any) -> Any:
-    """Compile the loop over points for the functions of a law."""
+    """Compile the loop over points with the functions of a law."""
 
     @njit(parallel=True)
     def evaluate(

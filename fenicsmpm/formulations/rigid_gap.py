@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gaps between points and rigid bodies as UFL."""
+"""Gaps between points and rigid bodies, in UFL."""
 
 from __future__ import annotations
 
@@ -18,24 +18,27 @@ Array = npt.NDArray[np.float64]
 
 
 class RigidGap:
-    """Distance of points from a rigid body after a motion, and what the body does under them.
+    """Distance of moving points from a rigid body, and the motion of the body below them.
 
-    UFL has no distance from a sampled shape. So distance and normal are found at the points before
-    each evaluation, and the distance is continued linearly from there. As it is evaluated where it
-    was found, values are exact, and ``ufl.derivative`` gives the tangent without the curvature of
-    the surface.
+    UFL has no distance from a sampled shape. Therefore distance and normal are computed at the
+    points before each evaluation, and the distance is extrapolated linearly from there. Because it
+    is evaluated exactly where it was computed, its values are exact. ``ufl.derivative`` gives the
+    tangent without the curvature of the surface.
 
     Args:
-        points: which may touch the body.
-        u: their motion [m].
-        rigid: the body.
+        points: points that may touch the body.
+        u: displacement increment of the points ``(d,)`` [m], UFL.
+        rigid: the rigid body.
 
     Attributes:
-        way: of the body's material at each point in the step ``(d,)`` [m], UFL.
+        way: displacement of the body's material below each point in the step ``(d,)`` [m], UFL.
+
+    Raises:
+        ValueError: if rigid body and mesh have different dimensions.
     """
 
     def __init__(self, points: MaterialPoints, u: Any, rigid: RigidBody) -> None:
-        """Compile where points come to (collective)."""
+        """Compile the new positions of the points (collective)."""
         dim = points.mesh.geometry.dim
         if rigid.dim != dim:
             raise ValueError(
@@ -48,7 +51,11 @@ class RigidGap:
         self._found_at, self.way = self._field("place", (dim,)), self._field("way", (dim,))
 
     def __call__(self, place: Any) -> Any:
-        """Distance of a place (d,) [m], UFL, near where it was found."""
+        """Return the distance [m], UFL, at a place close to where it was computed.
+
+        Args:
+            place: position ``(d,)`` [m], UFL.
+        """
         return self._distance + ufl.dot(self._normal, place - self._found_at)
 
     def _field(self, name: str, shape: tuple[int, ...]) -> ComputedField:

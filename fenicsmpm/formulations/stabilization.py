@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Stabilization of equal-order mixed elements: PPP, ASGS and OSGS (VMS, section 4), by terms.
+"""Stabilization of equal-order mixed elements: PPP, ASGS and OSGS (VMS, section 4), among others.
 
-Every function returns UFL that is added to the Galerkin residual of ``mixed``.
+Each function returns UFL that is added to the Galerkin residual of ``mixed``. ``stabilized``
+returns the sum.
 """
 
 from __future__ import annotations
@@ -25,27 +26,28 @@ STABILIZATIONS = ("none", "ppp", "asgs", "osgs", "split_osgs", "cip", "hessian")
 
 
 def ppp(z: Unknown, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0) -> ufl.Form:
-    """Polynomial pressure projection of Dohrmann and Bochev, used by VMS for comparison.
+    """Return the polynomial pressure projection of Dohrmann and Bochev, which VMS compares with.
 
-    -alpha / mu (p - p_K, q - q_K) with the averages over the points of a cell p_K, q_K.
+    The term is -alpha / mu (p - p_K, q - q_K), where p_K and q_K are averages over the points of a
+    cell.
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
         points: material points.
         law: constitutive law.
-        alpha: factor [-].
+        alpha: stabilization factor [-].
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: for points that see quadratic splines or uGIMP.
+        ValueError: if the points use quadratic splines or uGIMP.
     """
     z.require("u", "p", of="PPP")
     name = functions_of(points)
     if name not in ("linear", "cubic"):
         raise ValueError(
-            "PPP takes averages over the points of a cell, which do not see the same functions if "
+            "PPP averages over the points of a cell, which do not share the same functions if "
             f'these are {name} ones: use "cip", "split_osgs" or, with splines, "hessian"'
         )
     p, q, j = z.p, z.test.p, Kinematics(z.u, points).j
@@ -64,21 +66,27 @@ def asgs(
     c2: float = 1.0,
     scheme: TimeScheme | None = None,
 ) -> ufl.Form:
-    """Algebraic subgrid scales: subscales are the residuals times tau (VMS, section 4).
+    """Return algebraic subgrid scales, in which subscales are residuals times tau (VMS, section 4).
 
-    The divergence of the deviatoric stress, zero for linear triangles and tetrahedra, is left out.
+    The divergence of the deviatoric stress is neglected. It is zero for linear triangles and
+    tetrahedra.
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
-        points: material points with weights V_n [m^d].
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: material points with the volumes V_n as weights [m^d].
         law: constitutive law.
-        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
-        c1: constant of tau_1.
-        c2: constant of tau_2.
-        scheme: time scheme, for subscales with inertia, see ``tau``.
+        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+            none.
+        c1: constant of tau_1 [-].
+        c2: constant of tau_2 [-].
+        scheme: time scheme, for subscales with inertia; see ``tau``.
 
     Returns:
         UFL form of rank 1.
+
+    Raises:
+        ValueError: if the points use functions that are not linear, or both law and scheme have
+            inertia.
     """
     R_u, R_p = residuals(z, points, law, force)
     return _subscales(z, points, law, R_u, R_p, c1, c2, scheme)
@@ -94,22 +102,28 @@ def osgs(
     c2: float = 1.0,
     scheme: TimeScheme | None = None,
 ) -> ufl.Form:
-    """Orthogonal subgrid scales: residuals minus their lumped projection on the grid.
+    """Return orthogonal subgrid scales: residuals minus their lumped projection to the grid.
 
-    They depend on the unknown, and ``NewtonSolver`` takes that into the tangent, so that it
-    converges quadratically; VMS lags them by an iteration.
+    The projection depends on the unknown. ``NewtonSolver`` includes this dependence in the tangent
+    and therefore converges quadratically. VMS instead takes the projection from the previous
+    iteration.
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
-        points: material points with weights V_n [m^d].
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: material points with the volumes V_n as weights [m^d].
         law: constitutive law.
-        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
-        c1: constant of tau_1.
-        c2: constant of tau_2.
-        scheme: time scheme, for subscales with inertia, see ``tau``.
+        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+            none.
+        c1: constant of tau_1 [-].
+        c2: constant of tau_2 [-].
+        scheme: time scheme, for subscales with inertia; see ``tau``.
 
     Returns:
         UFL form of rank 1.
+
+    Raises:
+        ValueError: if a part has nodes other than the vertices, the points use functions that are
+            not linear, or both law and scheme have inertia.
     """
     z.require_linear("OSGS")
     R_u, R_p = residuals(z, points, law, force)
@@ -126,23 +140,23 @@ def split_osgs(
     c1: float = 1.0,
     scheme: TimeScheme | None = None,
 ) -> ufl.Form:
-    """Orthogonal subscales of the pressure alone: -tau_1 (grad p - its projection, grad q).
+    """Return orthogonal subscales of the pressure alone, -tau_1 (grad p - projection, grad q).
 
-    The term of OSGS that keeps pressures smooth (R. Codina, Appl. Numer. Math. 58, 2008). It needs
-    no residual, so it is consistent for functions of any smoothness.
+    This is the term of OSGS that smooths the pressure (R. Codina, Appl. Numer. Math. 58, 2008). It
+    needs no residual, so it is consistent for functions of any smoothness.
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
-        points: material points with weights V_n [m^d].
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: material points with the volumes V_n as weights [m^d].
         law: constitutive law.
-        c1: constant of tau_1.
-        scheme: time scheme, for subscales with inertia, see ``tau``.
+        c1: constant of tau_1 [-].
+        scheme: time scheme, for subscales with inertia; see ``tau``.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: for parts with nodes beside the vertices, or a law and a scheme that both have
+        ValueError: if a part has nodes other than the vertices, or both law and scheme have
             inertia.
     """
     z.require("u", "p", of="split OSGS")
@@ -164,24 +178,26 @@ def stabilized(
     scheme: TimeScheme | None = None,
     cells: ActiveCells | None = None,
 ) -> ufl.Form:
-    """Residual of the mixed formulation with a stabilization chosen by name.
+    """Return the residual of the mixed formulation with a stabilization chosen by name.
 
     Args:
-        name: "none", "ppp", "asgs", "osgs", "split_osgs", "cip" (``interior_penalty``) or
-            "hessian" (``hessian_penalty``).
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
-        points: material points with weights V_n [m^d].
+        name: "none", "ppp", "asgs", "osgs", "split_osgs", "cip" (``interior_penalty``) or "hessian"
+            (``hessian_penalty``).
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: material points with the volumes V_n as weights [m^d].
         law: constitutive law.
-        force: body force per volume before the step, rho_n b [N/m^d]; None for none.
-        scheme: time scheme, for tau_1 with inertia, see ``tau``.
-        cells: active cells of the body and of loads, for "cip". Of several bodies with the same
-            cells, take ``mixed`` for each and ``interior_penalty`` once.
+        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+            none.
+        scheme: time scheme, which adds inertia to tau_1; see ``tau``.
+        cells: active cells of the body and of loads, for "cip". If several bodies share these
+            cells, add ``mixed`` for each body and ``interior_penalty`` once.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: for an unknown name, or one that does not suit the functions, see there.
+        ValueError: if the name is unknown, or the stabilization does not suit the functions of the
+            points; see the function of that stabilization.
     """
     R = mixed(z, points, law, force=force)
     if name == "none":
@@ -204,30 +220,31 @@ def stabilized(
 def residuals(
     z: Unknown, points: MaterialPoints, law: MixedLaw, force: Any = None
 ) -> tuple[Any, Any]:
-    """Residuals of momentum and of the volumetric law, for linear elements.
+    """Return the residuals of momentum and of the volumetric law, for linear elements.
 
-    They leave out the divergence of the deviatoric stress: zero for linear triangles and
-    tetrahedra, small for linear quadrilaterals and hexahedra. Quadratic elements are accepted for
-    trials; there the residuals add an error of their own.
+    The divergence of the deviatoric stress is neglected. It is zero for linear triangles and
+    tetrahedra, and small for linear quadrilaterals and hexahedra. Quadratic elements are accepted
+    for experiments, but there the neglected term adds an error.
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
         points: material points.
         law: constitutive law.
-        force: body force per volume before the step [N/m^d].
+        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+            none.
 
     Returns:
-        j (rho b + grad p) per volume before the step [N/m^3], and the law's volumetric residual,
-        of a solid U'(J)/kappa - p/kappa [-].
+        Momentum residual j (rho b + grad p) per volume at the start of the step ``(d,)`` [N/m^d],
+        and the residual of the volumetric law [-], U'(J)/kappa - p/kappa for a solid.
 
     Raises:
-        ValueError: for points that see smooth functions, for which that is not small.
+        ValueError: if the points use smooth functions, for which the neglected term is not small.
     """
     z.require("u", "p", of="stabilization by residuals")
     name = functions_of(points)
     if name != "linear":
         raise ValueError(
-            "ASGS and OSGS leave out the divergence of the deviatoric stress, which is small for "
+            "ASGS and OSGS neglect the divergence of the deviatoric stress, which is small for "
             f'linear functions only, not for {name} ones: use "cip", "split_osgs" or, with '
             'splines, "hessian"'
         )
@@ -239,7 +256,7 @@ def residuals(
 
 
 def _pressure_force(k: Kinematics, p: Any) -> Any:
-    """Vector j f^-T grad(p) = j times the spatial gradient of the pressure."""
+    """Return the vector j f^-T grad(p), which is j times the spatial gradient of the pressure."""
     return ufl.dot(k.cofactor(), ufl.grad(p))
 
 
@@ -247,11 +264,12 @@ def _subscales(
     z: Unknown, points: MaterialPoints, law: MixedLaw,
     S_u: Any, S_p: Any, c1: float, c2: float, scheme: TimeScheme | None,
 ) -> ufl.Form:  # fmt: skip
-    """Subscales tau S tested with the adjoint operator (VMS, equation 20, linear elements).
+    """Return the subscales tau S, tested with the adjoint operator (VMS, equation 20).
 
-    With r = j f^-T grad(p), the pressure term of momentum per volume before the step, the adjoint
-    of the momentum operator is -D r[V]: both geometric terms of equation 20 and grad q. S_u is
-    per volume before the step, hence the division by j.
+    This is the version for linear elements. Let r = j f^-T grad(p) be the pressure term of momentum
+    per volume at the start of the step. The adjoint of the momentum operator is -D r[V], which
+    contains both geometric terms of equation 20 and grad q. S_u is per volume at the start of the
+    step, hence the division by j.
     """
     k = Kinematics(z.u, points)
     tau1, tau2 = tau(points, law, c1, c2, scheme)

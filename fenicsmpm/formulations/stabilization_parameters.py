@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Size of a cell and parameters of stabilization at the points (VMS, equation 21)."""
+"""Cell size and stabilization parameters at the points (VMS, equation 21)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from fenicsmpm.points import MaterialPoints
 
 
 def element_size(points: MaterialPoints) -> Any:
-    """Cell size ``h = |K|^(1/d)`` [m] of the cell that holds the point (VMS, below equation 21)."""
+    """Return the size ``h = |K|^(1/d)`` [m] of the cell around each point.
+
+    See VMS, below equation 21.
+
+    Args:
+        points: material points.
+    """
     return _cell_volume(points) ** (1 / points.mesh.geometry.dim)
 
 
@@ -28,26 +34,26 @@ def tau(
     c2: float = 1.0,
     scheme: TimeScheme | None = None,
 ) -> Any:
-    """Stabilization parameters of VMS, equation 21.
+    """Return the stabilization parameters tau_1 and tau_2 (VMS, equation 21).
 
-    Subscales without inertia let Newton's method fail where steps are much shorter than
-    h sqrt(rho / mu). With it, 1 / tau_1 = 2 mu / (c1 h^2) + rho r_a (R. Codina, CMAME 191, 2002),
-    r_a u being the change of acceleration in a step.
+    If steps are much shorter than h sqrt(rho / mu), subscales without inertia make Newton's method
+    fail. With inertia, 1 / tau_1 = 2 mu / (c1 h^2) + rho r_a (R. Codina, CMAME 191, 2002), where
+    r_a u is the change of acceleration in a step.
 
     Args:
         points: material points.
         law: constitutive law.
-        c1: algorithmic constant of tau_1.
-        c2: algorithmic constant of tau_2.
-        scheme: time scheme, for subscales with inertia; None for those of the paper, and for a law
-            that has inertia itself (``NewtonianFlow``).
+        c1: algorithmic constant of tau_1 [-].
+        c2: algorithmic constant of tau_2 [-].
+        scheme: time scheme, for subscales with inertia. None for subscales without inertia as in
+            VMS, and for a law that includes inertia itself (``NewtonianFlow``).
 
     Returns:
-        tau_1 = c1 h^2 / (2 mu) [m^2/Pa], with inertia as above, and tau_2 = 2 c2 mu [Pa], with the
-        law's moduli as mu.
+        tau_1 = c1 h^2 / (2 mu) [m^2/Pa], with inertia as above, and tau_2 = 2 c2 mu [Pa]. Here mu
+        is the respective modulus of the law.
 
     Raises:
-        ValueError: for a scheme and a law that has inertia itself.
+        ValueError: if a scheme is given for a law that includes inertia itself.
     """
     h_squared = squared_size(points)
     mu = modulus(law, h_squared, scheme, density(points) if scheme is not None else None, c1)
@@ -57,26 +63,30 @@ def tau(
 def modulus(
     law: MixedLaw, h_squared: Any, scheme: TimeScheme | None, rho: Any, c1: float = 1.0
 ) -> Any:
-    """Shear modulus mu of tau_1 = c1 h^2 / (2 mu) [Pa], with inertia if there is a time scheme.
+    """Return the shear modulus mu [Pa] of tau_1 = c1 h^2 / (2 mu), optionally with inertia.
 
     Args:
         law: constitutive law.
         h_squared: square of the cell size [m^2].
-        scheme: time scheme; None for subscales without inertia.
-        rho: density [kg/m^d]; needed with a scheme only.
-        c1: constant of tau_1.
+        scheme: time scheme, for a modulus with inertia. None for subscales without inertia.
+        rho: density [kg/m^d]. Needed with a scheme only.
+        c1: constant of tau_1 [-].
 
     Raises:
-        ValueError: for a scheme and a law that has inertia itself.
+        ValueError: if a scheme is given for a law that includes inertia itself.
     """
     mu = law.modulus(h_squared)
     if scheme is None:
         return mu
     if hasattr(law, "scheme"):
-        raise ValueError("the law's subscales have inertia themselves: leave out the scheme")
+        raise ValueError(f"the subscales of {law!r} already have inertia: leave out the scheme")
     return mu + c1 * rho * scheme.rates[1] * h_squared / 2
 
 
 def squared_size(points: MaterialPoints) -> Any:
-    """Square of the cell size h^2 [m^2]."""
+    """Return the square of the cell size h^2 [m^2].
+
+    Args:
+        points: material points.
+    """
     return _cell_volume(points) ** (2 / points.mesh.geometry.dim)

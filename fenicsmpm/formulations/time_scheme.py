@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""TimeScheme: from displacement increments to inertia, in UFL."""
+"""Base class of time schemes, which express inertia in terms of displacement increments, in UFL."""
 
 from __future__ import annotations
 
@@ -17,28 +17,31 @@ from fenicsmpm.points import MaterialPoints
 
 
 class TimeScheme(ABC):
-    """What all schemes of time integration have in common.
+    """Base class of all time integration schemes.
 
     Args:
-        unknown: with a part that moves the points, the displacement increment u [m].
+        unknown: unknown with a part that moves the points, the displacement increment u [m].
         dt: time step [s].
-        flip: 1 for FLIP, 0 for PIC, or between.
+        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
         names: fields of the points that are mapped to the grid.
 
     Attributes:
-        dt: length of the present step, which the time loop sets.
-        histories: grid function of each field that is mapped from points, by the field's name.
-        increment: displacement increment of the whole step [m], set by the scheme.
-        acceleration: at which inertia is taken [m/s^2], set by the scheme.
-        unknown: whose part moves the points.
-        u: that part.
-        w: its test function.
-        share: of the step that u moves; the equations hold at its end (``Midpoint``: half way).
-        lumping: share of the lumped mass in the one by which velocities are mapped to the grid.
+        dt: length of the current step [s], a constant that the time loop sets.
+        histories: grid functions of the fields that are mapped from the points, by field name.
+        increment: displacement increment of the whole step ``(d,)`` [m], UFL, defined by the
+            scheme.
+        acceleration: acceleration in the inertia term ``(d,)`` [m/s^2], UFL, defined by the scheme.
+        unknown: the unknown.
+        u: the part of the unknown that moves the points ``(d,)`` [m].
+        w: test function of u.
+        share: share of the step that u covers [-]. The equations hold at its end, except for
+            ``Midpoint``, where they hold at the middle.
+        lumping: share of the lumped mass in the mass with which velocities are mapped to the grid
+            [-].
 
     Raises:
-        ValueError: for a time step that is not positive and finite, a share of FLIP beyond [0, 1],
-            or an unknown that moves nothing.
+        ValueError: if the time step is not positive and finite, the share of FLIP lies outside
+            [0, 1], or no part of the unknown moves the points.
     """
 
     increment: Any
@@ -47,7 +50,7 @@ class TimeScheme(ABC):
     lumping = 1.0
 
     def __init__(self, unknown: Unknown, dt: float, flip: float, names: tuple[str, ...]) -> None:
-        """Create the histories, zero by now."""
+        """Create the histories, with zero values."""
         check_time_step(dt)
         if not 0 <= flip <= 1:
             raise ValueError(f"the share of FLIP in the velocity must lie in [0, 1]: flip = {flip}")
@@ -62,36 +65,43 @@ class TimeScheme(ABC):
         self.histories = {name: fem.Function(space, name=name) for name in names}
 
     def force(self, points: MaterialPoints, b: Any = None) -> Any:
-        """Body force less inertia per volume before the step, rho_n (b - a) [N/m^d].
+        """Return body force minus inertia per volume V_n, rho_n (b - a) ``(d,)`` [N/m^d], UFL.
 
-        To be used as ``force`` of the formulations; the mass matrix is then the consistent one.
+        Pass the result as ``force`` to the formulations. The mass matrix is then the consistent
+        one.
 
         Args:
-            points: the body, with the field "mass".
-            b: body force per mass, such as gravity [m/s^2]; None for none.
+            points: the body, with the field "mass" [kg].
+            b: body force per mass, such as gravity ``(d,)`` [m/s^2]. None for none.
         """
         acceleration = -self.acceleration if b is None else b - self.acceleration
         return density(points) * acceleration
 
     def inertia(self, points: MaterialPoints) -> ufl.Form:
-        """Inertia (rho a, w) with the mass of the scheme, here the consistent one.
+        """Return the inertia (rho a, w) with the mass of the scheme, here the consistent one.
 
-        For equations without subscales, which take it as part of ``force``.
+        Use it in equations without subscales. With subscales, inertia is part of ``force``.
 
         Args:
-            points: the body, with the field "mass".
+            points: the body, with the field "mass" [kg].
+
+        Returns:
+            UFL form of rank 1 over the points.
         """
         return density(points) * ufl.inner(self.acceleration, self.w) * points.dx
 
     def lumped(self, points: MaterialPoints) -> ufl.Form:
-        """Inertia (rho a, w) with the lumped mass of the points (VMS, section 5).
+        """Return the inertia (rho a, w) with the lumped mass of the points (VMS, section 5).
 
         Args:
-            points: the body, with the field "mass".
+            points: the body, with the field "mass" [kg].
+
+        Returns:
+            UFL form of rank 1 over the active cells, with the vertices as quadrature points.
 
         Raises:
-            ValueError: for a motion by functions that are not linear, which have nodes beside the
-                vertices.
+            ValueError: if the functions of the motion are not linear and so have nodes other than
+                the vertices.
         """
         assert self.unknown.moving is not None  # checked by the constructor
         self.unknown.require_linear("the lumped mass", self.unknown.moving)
@@ -99,40 +109,47 @@ class TimeScheme(ABC):
         return mass * ufl.inner(self.acceleration, self.w) * mass.vertex_dx
 
     def predictions(self) -> list[npt.NDArray[np.float64]]:
-        """First guesses of the dofs of u [m], the boldest one first; here constant velocity."""
+        """Return initial guesses of u [m], here for constant velocity.
+
+        Returns:
+            Degrees of freedom of u, one array for each guess, the most ambitious one first.
+        """
         return [self.share * float(self.dt.value) * self.histories["v"].x.array]
 
     def velocity(self) -> Any:
-        """Velocity on the grid when the equations hold [m/s], UFL; here at the end of the step."""
+        """Return the grid velocity [m/s] when the equations hold, here at the end of the step."""
         return self.grid_velocity()
 
     def change(self, part: str) -> Any:
-        """By how much a history of the unknown changes on the grid in a step, UFL.
+        """Return the change of a history on the grid in a step, UFL.
 
-        What has a rate changes over the whole step; anything else, such as a pressure that follows
-        from a constraint, is left as the equations have it, also where these hold earlier.
+        A history with a rate changes over the whole step. Any other history, such as a pressure
+        that follows from a constraint, changes by what the equations give, even if these hold
+        before the end of the step.
 
         Args:
-            part: its name.
+            part: name of the history.
         """
         change = getattr(self.unknown, part) - getattr(self.unknown.old, part)
         return change / self.share if part in self._with_rates else change
 
     def rate(self, part: str) -> Any:
-        """Rate of a history of the unknown in the equations [1/s], UFL, of first order in dt here.
+        """Return the rate of a history in the equations [1/s], UFL, here of first order in dt.
 
-        ``Midpoint``, whose equations have ``middle(part)``, and ``BDF2`` are of second order. Of
-        fields that vary in space, mapping by the lumped mass leaves first order in dt.
+        ``BDF2`` and ``Midpoint`` are of second order; the equations of ``Midpoint`` contain
+        ``middle(part)``. For fields that vary in space, the mapping with the lumped mass reduces
+        the order in dt to one.
 
         Args:
-            part: its name, such as that of a temperature.
+            part: name of the history, such as a temperature.
 
         Raises:
-            ValueError: for a part that is no history.
+            ValueError: if the part is not a history.
         """
         if not hasattr(self.unknown.old, part):
             raise ValueError(
-                f"only a history has a rate, not the part {part!r}: Part({part!r}, role='history')"
+                f"only a history has a rate, not the part {part!r}: define it as "
+                f"Part({part!r}, role='history')"
             )
         self._with_rates.add(part)
         return self.change(part) / self.dt
@@ -140,42 +157,56 @@ class TimeScheme(ABC):
     @property
     @abstractmethod
     def rates(self) -> tuple[Any, Any]:
-        """By how much u changes velocity [1/s] and acceleration [1/s^2] in the equations."""
+        """Derivatives of velocity [1/s] and acceleration [1/s^2] with respect to u, UFL."""
 
     @abstractmethod
     def grid_velocity(self) -> Any:
-        """Velocity on the grid at the end of the step [m/s], UFL."""
+        """Return the grid velocity at the end of the step ``(d,)`` [m/s], UFL."""
 
     @abstractmethod
     def updates(self, points: MaterialPoints) -> dict[str, Any]:
-        """New values of the points' fields at the end of a step, as UFL over the points.
+        """Return the values of the point fields at the end of a step, as UFL over the points.
 
         Args:
             points: the body.
+
+        Returns:
+            New values by field name.
         """
 
     def begin(self) -> None:
-        """To be called before each attempt at a step, when its length is known."""
+        """Prepare a step of known length; time loops call this before each attempt."""
 
     def end(self) -> None:
-        """To be called after each step that was done."""
+        """Finish a step; time loops call this after each completed step."""
 
     @property
     def memory(self) -> dict[str, float]:
-        """What a scheme remembers of the steps before, besides the points' fields."""
+        """Values from previous steps that the scheme needs in addition to the point fields."""
         return {}
 
     @memory.setter
     def memory(self, values: dict[str, float]) -> None:
-        """Take up what another run remembered."""
+        """Restore the values of another run."""
 
 
 def density(points: MaterialPoints) -> Any:
-    """Density per volume before the step, rho_n = m / V_n [kg/m^d], as UFL over the points."""
+    """Return the density at the start of the step, rho_n = m / V_n [kg/m^d], as UFL.
+
+    Args:
+        points: the body, with the field "mass" [kg].
+    """
     return points.field("mass") / points.field("weight")
 
 
 def check_time_step(dt: float) -> None:
-    """Raise ValueError for a time step that is not positive and finite."""
+    """Raise ValueError if a time step is not positive and finite.
+
+    Args:
+        dt: time step [s].
+
+    Raises:
+        ValueError: if the time step is not positive and finite.
+    """
     if not 0 < dt < float("inf"):
         raise ValueError(f"the time step must be positive and finite: dt = {dt}")

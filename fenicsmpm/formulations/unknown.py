@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unknown: the parts of a problem's unknown by name, their test functions and conditions."""
+"""The unknown of a problem: its named parts, their test functions and Dirichlet conditions."""
 
 from __future__ import annotations
 
@@ -24,25 +24,34 @@ from fenicsmpm.points.of_position import CaughtMarker, OfPosition
 Place: TypeAlias = OfPosition | npt.NDArray[np.integer]
 
 _ROLES = ("moves", "history", "grid")
-# Of an unknown, beside its methods: parts cannot have these names
+# Attributes of an unknown besides its methods, which parts cannot have as names
 _ATTRIBUTES = frozenset({"U", "V", "space", "mesh", "parts", "test", "old", "conditions"})
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an unknown and how it lives at the points.
+    """One part of an unknown, and its relation to the fields of the points.
+
+    The role of a part is one of these:
+
+    - "moves" for the displacement increment of a step.
+    - "history" for a quantity that the points carry in a field of the same name. It is mapped to
+      the grid at the start of a step and returned to the points at its end.
+    - "grid" for a quantity that exists on the grid only.
 
     Args:
-        name: by which forms and fields of points know it.
-        is_vector: whether it has a component for each direction, or is a scalar.
-        role: "moves" for the increment of displacement in a step; "history" for what points carry
-            in a field of the same name, which is mapped to the grid at the beginning of a step and
-            given back at its end; "grid" for what is the grid's alone.
-        degree: of its Lagrange functions.
-        flip: of a history: 0 if points take the grid's new value (PIC), 1 if they take its change
-            (FLIP), or between.
-        initial: value of a history at points without a field of its name; None if they must have
-            one.
+        name: name of the part, and of the field of the points.
+        is_vector: whether the part is a vector ``(d,)`` or a scalar.
+        role: "moves", "history" or "grid".
+        degree: degree of the Lagrange functions.
+        flip: for a history, 0 if the points take its new value (PIC), 1 if they take its change
+            (FLIP), or a blend of both.
+        initial: value of a history at points that have no field of its name. None if the field must
+            exist.
+
+    Raises:
+        ValueError: if the name is not a valid identifier, the role is unknown or does not fit the
+            shape, or flip lies outside [0, 1].
     """
 
     name: str
@@ -53,44 +62,48 @@ class Part:
     initial: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the role, and the rest by it."""
+        """Check the values."""
         if not self.name.isidentifier():
-            raise ValueError(f"the name of a part must be one of Python's: {self.name!r}")
+            raise ValueError(f"the name of a part must be a Python identifier: {self.name!r}")
         if self.role not in _ROLES:
             raise ValueError(f"unknown role {self.role!r} of a part: use {', '.join(_ROLES)}")
         if self.role == "moves" and not self.is_vector:
-            raise ValueError(f"what moves the points is a vector, but {self.name!r} is a scalar")
+            raise ValueError(
+                f"a part that moves the points must be a vector, but {self.name!r} is a scalar: "
+                "set is_vector=True"
+            )
         if not 0 <= self.flip <= 1:
             raise ValueError(f"the share of FLIP must lie in [0, 1]: flip = {self.flip}")
 
 
 class Unknown(Described):
-    """The unknown of a problem: named parts on one mesh, in one function for UFL.
+    """Unknown of a problem: named parts on one mesh, combined in one function for UFL.
 
-    ``Unknown(mesh, "u", "p")`` has the linear functions of displacement and pressure: the name "u"
-    stands for a vector that moves the points, "v" for one that is the grid's alone (the velocity of
-    explicit steps), any other name for a scalar that points carry. Parts are attributes of the
-    unknown and of its test functions: ``z.u``, ``z.test.u``.
+    ``Unknown(mesh, "u", "p")`` has linear functions for displacement and pressure. The name "u"
+    stands for a vector that moves the points, and "v" for a vector that exists on the grid only,
+    such as the velocity of explicit steps. Any other name stands for a scalar that the points
+    carry. Parts are attributes of the unknown, such as ``z.u``, and of its test functions, such as
+    ``z.test.u``.
 
     Args:
-        over: mesh for a new function; or a function of one's own, on a mixed space if there are
-            several parts.
-        parts: names, or ``Part`` objects, in the order of the space.
-        degree: of the Lagrange functions of parts given by their names.
+        over: mesh for a new function, or an existing function. The latter must be defined on a
+            mixed space if there are several parts.
+        parts: names or ``Part`` objects, in the order of the space.
+        degree: degree of the Lagrange functions of parts given by name.
 
     Attributes:
-        U: the function of all parts, in which forms are differentiated.
-        V: its test function.
-        space: of both.
+        U: function of all parts, with respect to which forms are differentiated.
+        V: test function of all parts.
+        space: function space of both.
         mesh: background mesh.
-        parts: in their order.
-        test: the parts of V, as attributes.
-        old: of each history, what was mapped from the points, as attributes (``fem.Function``).
-        conditions: made by ``fix``.
+        parts: the parts in their order.
+        test: test functions of the parts, as attributes.
+        old: values of the histories mapped from the points, as attributes (``fem.Function``).
+        conditions: Dirichlet conditions, created by ``fix``.
 
     Raises:
-        ValueError: for no parts or names that are taken, several parts that move the points, or a
-            function with other parts.
+        ValueError: if there are no parts, a name is taken, several parts move the points, or the
+            given function has other parts.
     """
 
     def __init__(self, over: Any, *parts: str | Part, degree: int = 1) -> None:
@@ -122,7 +135,7 @@ class Unknown(Described):
         self.conditions: list[Condition] = []
 
     def __getattr__(self, name: str) -> Any:
-        """A part by its name, UFL."""
+        """Return a part by its name, UFL."""
         values = self.__dict__.get("_values", {})
         if name not in values:
             raise AttributeError(
@@ -131,52 +144,54 @@ class Unknown(Described):
         return values[name]
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is a part of this name."""
+        """Return whether there is a part of this name."""
         return name in self._values
 
     @property
     def moving(self) -> str | None:
-        """Name of the part that moves the points; None without one."""
+        """Name of the part that moves the points, or None."""
         return next((part.name for part in self.parts if part.role == "moves"), None)
 
     def part_space(self, name: str) -> fem.FunctionSpace:
-        """Space of a part alone.
+        """Return the function space of a single part.
 
         Args:
-            name: of the part.
+            name: name of the part.
         """
         return self._collapsed[name][0]
 
     def dofs(self, name: str) -> npt.NDArray[np.int32]:
-        """``(n,)`` places of a part in ``U.x.array``, in the order of ``part_space``.
+        """Return the indices ``(n,)`` of a part in ``U.x.array``, in the order of ``part_space``.
 
         Args:
-            name: of the part.
+            name: name of the part.
         """
         space, dofs = self._collapsed[name]
-        if dofs is None:  # the only part: not kept, as lattices may be large and mostly empty
+        # A single part has all dofs. The array is not stored, since lattices can be large and
+        # mostly empty.
+        if dofs is None:
             index_map, bs = space.dofmap.index_map, space.dofmap.index_map_bs
             size = (index_map.size_local + index_map.num_ghosts) * bs
             dofs = np.arange(size, dtype=np.int32)
         return dofs
 
     def function(self, name: str, prefix: str = "") -> fem.Function:
-        """New function with the present values of a part, to be evaluated or written.
+        """Return a new function with the current values of a part, for evaluation or output.
 
         Args:
-            name: of the part.
-            prefix: of the function's name.
+            name: name of the part.
+            prefix: prefix of the name of the function.
         """
         result = fem.Function(self.part_space(name), name=f"{prefix}_{name}" if prefix else name)
         result.x.array[:] = self.U.x.array[self.dofs(name)]
         return result
 
     def interpolate(self, name: str, value: Any) -> None:
-        """Give a part the values of a function, as ``fem.Function.interpolate`` takes it.
+        """Interpolate a function into a part, as ``fem.Function.interpolate`` does.
 
         Args:
-            name: of the part.
-            value: function of positions ``(3, n)``, ``fem.Function`` or ``fem.Expression``.
+            name: name of the part.
+            value: function of positions ``(3, n)`` [m], ``fem.Function`` or ``fem.Expression``.
         """
         function = fem.Function(self.part_space(name))
         function.interpolate(value)
@@ -186,8 +201,11 @@ class Unknown(Described):
         """Raise ValueError if parts are missing.
 
         Args:
-            names: of the parts.
-            of: what needs them.
+            names: names of the parts.
+            of: name of the feature that needs them, for the message.
+
+        Raises:
+            ValueError: if a part is missing.
         """
         missing = [name for name in names if name not in self]
         if missing:
@@ -197,45 +215,50 @@ class Unknown(Described):
             )
 
     def require_linear(self, what: str, *names: str) -> None:
-        """Raise ValueError for parts with nodes beside the vertices.
+        """Raise ValueError if parts have nodes other than the vertices.
 
         Args:
-            what: needs linear functions.
-            names: of the parts; none for all.
+            what: name of the feature that needs linear functions, for the message.
+            names: names of the parts. Without names, all parts are checked.
+
+        Raises:
+            ValueError: if the functions of a part are not continuous and linear.
         """
         for name in names or self._values:
             element = self.part_space(name).ufl_element()
             if not is_linear(element):
                 raise ValueError(
-                    f"{what} is for continuous linear functions, whose nodes are the vertices, not "
-                    f"for {element}"
+                    f"{what} needs continuous linear functions, whose nodes are the vertices, not "
+                    f"{element}"
                 )
 
     def fix(
         self, part: str, where: Place, value: Any = 0.0, *, component: int | None = None
     ) -> Condition:
-        """Dirichlet condition on a part, or one of its components (collective).
+        """Add a Dirichlet condition on a part, or on one of its components (collective).
 
-        Of what moves the points, the value is the displacement since the start at the end of a
-        step, a function of time of which loops take the increments at each node. Where these depend
-        on how the body has turned or stretched so far, give the increment of a step instead, as a
-        function of its ``start`` and ``end``. A value without any time is that of a single step.
+        If the part moves the points, the value is the displacement since the start, at the end of a
+        step. Time loops take the increments of this function of time at each node. If the
+        increments depend on how far the body has rotated or stretched, give the displacement
+        increment of a step instead, as a function of its ``start`` and ``end``. A value that does
+        not depend on time is the increment of a single step.
 
         Args:
-            part: its name.
-            where: marker as in dolfinx, from positions ``(3, n)`` [m] to a mask ``(n,)``; or local
-                facets ``(n,)``, such as ``dolfinx.mesh.exterior_facet_indices`` finds.
-            value: number, one for each component, function of the part's space, or callable with
-                the parameters ``x``, positions ``(3, n)``, and ``t``, the time [s], or ``start``
-                and ``end`` of a step [s], all by these names.
-            component: that is fixed; None for all.
+            part: name of the part.
+            where: marker as in dolfinx, from positions ``(3, n)`` [m] to a mask ``(n,)``, or local
+                facets ``(n,)``, such as those of ``dolfinx.mesh.exterior_facet_indices``.
+            value: number, sequence with one number for each component, function of the part's
+                space, or callable. The parameters of a callable are ``x``, the positions ``(3, n)``
+                [m], and ``t``, the time [s], or ``start`` and ``end`` of a step [s]. They are
+                passed by these names.
+            component: index of the fixed component. None for all components.
 
         Returns:
-            The condition, which is also among ``conditions``.
+            The condition, which is also appended to ``conditions``.
 
         Raises:
-            ValueError: for unknown parts or components; a marker of another shape or that finds no
-                node on any rank; a value of another shape.
+            ValueError: if the part or component is unknown, the marker has a wrong shape or finds
+                no node on any rank, or the value has a wrong shape.
         """
         condition = Condition(self, part, where, value, component)
         self.conditions.append(condition)
@@ -243,27 +266,30 @@ class Unknown(Described):
 
     @property
     def bcs(self) -> list[fem.DirichletBC]:
-        """All conditions, for dolfinx and ``NewtonSolver``."""
+        """Dolfinx conditions of all ``conditions``, for dolfinx and ``NewtonSolver``."""
         return [condition.bc for condition in self.conditions]
 
     def require_conditions(self, known: Sequence[fem.DirichletBC]) -> None:
-        """Raise ValueError for conditions that a simulation was not made with.
+        """Raise ValueError if conditions were added after a simulation was created.
 
         Args:
-            known: what ``bcs`` was then.
+            known: value of ``bcs`` when the simulation was created.
+
+        Raises:
+            ValueError: if the conditions have changed since.
         """
         if self.bcs != list(known):
             raise ValueError(
                 "conditions were added to the unknown after the simulation was made, which would "
-                "not know them: call fix(..) before"
+                "ignore them: call fix(..) before"
             )
 
     def set_conditions(self, start: float, end: float) -> None:
-        """Give all conditions the values of a step (collective).
+        """Set all conditions to their values for a step (collective).
 
         Args:
-            start: time at its beginning [s].
-            end: time when the equations hold [s].
+            start: time at the start of the step [s].
+            end: time at which the equations hold [s].
         """
         for condition in self.conditions:
             condition.set(start, end)
@@ -278,8 +304,8 @@ class Unknown(Described):
         moving = [part.name for part in self.parts if part.role == "moves"]
         if len(moving) > 1:
             raise ValueError(
-                f"the parts {' and '.join(moving)} would both move the points: only one can; give "
-                'the others role="history" or "grid"'
+                f"the parts {' and '.join(moving)} would both move the points, but only one can: "
+                'give the others role="history" or "grid"'
             )
 
     def _check_shapes(self, shapes: Sequence[tuple[int, ...]]) -> None:
@@ -310,19 +336,19 @@ class Unknown(Described):
 
 
 class Condition:
-    """A Dirichlet condition on a part of an unknown; see ``Unknown.fix``.
+    """Dirichlet condition on a part of an unknown; see ``Unknown.fix``.
 
     Attributes:
-        bc: of dolfinx.
+        bc: Dirichlet condition of dolfinx.
         part: name of the part.
-        size: number of the part's components.
-        depends_on_time: whether its value is given as a function of time.
+        size: number of components of the part.
+        depends_on_time: whether the value is a function of time.
     """
 
     def __init__(
         self, unknown: Unknown, part: str, where: Place, value: Any, component: int | None
     ) -> None:
-        """Find the nodes, and set the value of time zero (collective)."""
+        """Find the nodes, and set the value at time zero (collective)."""
         unknown.require(part, of="a Dirichlet condition")
         self.part, self._is_motion = part, part == unknown.moving
         self._is_set = False
@@ -355,9 +381,14 @@ class Condition:
         return self._value is not None and self._value.depends_on_time
 
     def set(self, start: float, end: float) -> None:
-        """Take the value of a step (collective); see ``Unknown.set_conditions``."""
+        """Set the value for a step (collective); see ``Unknown.set_conditions``.
+
+        Args:
+            start: time at the start of the step [s].
+            end: time at which the equations hold [s].
+        """
         if self._value is None or (self._is_set and not self.depends_on_time):
-            return  # the user's function, or what stays
+            return  # a function that the user sets, or a constant value
         value, self._is_set = self._value, True
 
         def at(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -365,12 +396,12 @@ class Condition:
                 return value.at(x, end, end) - value.at(x, start, start)
             return value.at(x, start, end)
 
-        # the user's function may fail on one rank only
+        # The user's function may fail on one rank only.
         comm = self._function.function_space.mesh.comm
         do_there(comm, True, lambda: self._function.interpolate(at))
 
     def moves_again(self) -> bool:
-        """Whether each step of a loop would add the same displacement, not zero (collective)."""
+        """Return whether every step would repeat the same nonzero displacement (collective)."""
         if not self._is_motion or self._value is None or self.depends_on_time:
             return False
         here = bool(np.any(self._function.x.array != 0))
@@ -390,16 +421,17 @@ class _Value:
             known = ({"x", "t"}, {"x", "start", "end"})
             if not self.names or not any(set(self.names) <= names for names in known):
                 raise ValueError(
-                    f"the value of part {part!r} is called with positions x, and time t, or start "
-                    "and end of a step, by these names, but has the parameters "
-                    f"{', '.join(self.names) or '(none)'}"
+                    f"the value of part {part!r} has the parameters "
+                    f"{', '.join(self.names) or '(none)'}: use x for positions and t for time, or "
+                    "start and end of a step, by these names"
                 )
         self.at(np.zeros((3, 4)), 0.0, 0.0)
         here, there = (self._called(np.full((3, 4), at), 0.0, 0.0) for at in (0.0, 1.0))
         if "x" in self.names and here.ndim == 1 and self._rows > 1 and np.any(here != there):
             raise ValueError(
-                f"the value of part {part!r} is one for all positions, but depends on them: x has "
-                "the shape (3, n) as in dolfinx, so that x[0] are the first coordinates"
+                f"the value of part {part!r} depends on position, but is a single value for all "
+                "positions: x has the shape (3, n) as in dolfinx, so use x[0] for the first "
+                "coordinates"
             )
 
     def _called(
@@ -416,7 +448,7 @@ class _Value:
         return not set(self.names) <= {"x"}
 
     def at(self, x: npt.NDArray[np.float64], start: float, end: float) -> npt.NDArray[np.float64]:
-        """``(n_components, n)`` values at positions ``(3, n)``."""
+        """Return ``(n_components, n)`` values at positions ``(3, n)``."""
         rows, n = self._rows, x.shape[1]
         array = self._called(x, start, end)
         if array.ndim <= 1 and (rows > 1 or array.size == 1):  # the same everywhere
@@ -432,7 +464,7 @@ class _Value:
 
 
 def _located(where: Place, spaces: Any, space: fem.FunctionSpace, part: str) -> Any:
-    """Degrees of freedom of a condition; ValueError on all ranks for places that are none."""
+    """Return the dofs of a condition; raise ValueError on all ranks if there are none."""
     comm = space.mesh.comm
     if callable(where):
         marker = CaughtMarker(where)
@@ -453,15 +485,15 @@ def _check_facets(where: Any) -> None:
     if facets.ndim == 1 and (np.issubdtype(facets.dtype, np.integer) or len(facets) == 0):
         return
     raise ValueError(
-        f"where a part is fixed is said by a marker or by local facets (n,), not by {facets.dtype} "
-        f"of the shape {facets.shape}"
+        "a part is fixed where a marker says or at local facets (n,), not at an array of "
+        f"{facets.dtype} of the shape {facets.shape}"
     )
 
 
 def _by_name(name: str, degree: int) -> Part:
-    """The part for which a name alone stands."""
+    """Return the part that a name stands for."""
     role = {"u": "moves", "v": "grid"}.get(name, "history")
-    # the pressure of a step is a first guess for the next one
+    # The pressure of a step is the initial guess for the next one, so its start value may be zero.
     return Part(name, name in ("u", "v"), role, degree, initial=0.0 if name == "p" else None)
 
 
@@ -477,7 +509,7 @@ def _element(mesh: Any, parts: Sequence[Part]) -> Any:
 def _collapsed(
     space: fem.FunctionSpace, is_part: bool
 ) -> tuple[fem.FunctionSpace, npt.NDArray[np.int32] | None]:
-    """Space of a part, and where its dofs are in the whole one; None for all in their order."""
+    """Return the space of a part, and its dofs in the whole space; None for all in their order."""
     if not is_part:
         return space, None
     return _compat.collapsed(space)

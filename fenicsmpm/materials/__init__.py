@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Constitutive laws: in UFL, and at points, compiled by numba."""
+"""Constitutive laws, in UFL and as functions at points compiled by numba."""
 
 from fenicsmpm.materials import tensors
 from fenicsmpm.materials.cam_clay import ModifiedCamClay

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tangents by differences of a law: instead of one, and to check one."""
+"""Finite differences of laws: tangents for laws without one, and checks of given tangents."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from fenicsmpm.materials.law import Law, compiled, positive
 
 Array = npt.NDArray[np.float64]
 
-# Step of central differences: the error of the formula goes with its square, round-off with its
-# inverse, so that the best one is about the third root of round-off.
+# Step of central differences. The truncation error is proportional to its square, the round-off
+# error to its inverse. Therefore the best step is about the cube root of the machine precision.
 _STEP = 6e-6
 
 
@@ -33,14 +33,17 @@ def first_piola_kirchhoff(F, sigma, P):  # type: ignore[no-untyped-def]
 
 @functools.cache
 def tangent_by_differences(update: Any) -> Any:
-    """Tangent of a law from central differences of its stress; see ``Law``.
+    """Return a tangent of a law by central differences of its stress; see ``Law``.
 
-    Each one calls the law 18 times. Relative to the moduli it is accurate to about 1e-10, except
-    within a strain of 1e-5 of states where the law has a kink, such as first yield; there it is a
-    mean of what is on both sides.
+    Each evaluation of the tangent calls the law 18 times. Relative to the moduli, the tangent is
+    accurate to about 1e-10. Within a strain of 1e-5 of a kink of the law, such as first yield, it
+    is an average of the tangents on both sides.
 
     Args:
-        update: compiled function of the law, without rates.
+        update: compiled function of a law that does not use velocity gradients.
+
+    Returns:
+        Compiled function ``tangent(F, parameters, state, dPdF)``.
     """
 
     @compiled
@@ -76,32 +79,33 @@ def tangent_by_differences(update: Any) -> Any:
 def check_tangent(
     law: Law, F: npt.ArrayLike | None = None, state: Array | None = None, *, rtol: float = 1e-6
 ) -> float:
-    """Compare the tangent of a law with differences of its stress.
+    """Compare the tangent of a law with finite differences of its stress.
 
-    There are central differences of fourth order and one-sided ones of second order, of which those
-    count that are nearest to the tangent: at a kink, such as first yield, a tangent of either side
-    is right.
+    The function uses central differences of fourth order and one-sided differences of second order.
+    Only the differences closest to the tangent count, because the tangent of either side is correct
+    at a kink, such as first yield.
 
     Args:
         law: constitutive law with a tangent.
-        F: deformation gradients after a step, ``(n, 3, 3)``; if not given, 100 random ones with
+        F: deformation gradients after a step, ``(n, 3, 3)`` [-]. None for 100 random ones with
             strains of 1e-3 to 0.2.
-        state: ``(n, law.n_state)`` before the step, not changed. If not given, that of undeformed
-            points, or with random deformations that after a first random step, where a law flows.
-        rtol: largest error that is right, relative to the largest number of the tangent at a point
-            or of the law's ``wave_speed_modulus``, whichever is larger [-].
+        state: state before the step, ``(n, law.n_state)``, not changed. None for undeformed points.
+            With random deformations, None stands for the state after a first random step, in which
+            a plastic law yields.
+        rtol: largest accepted error [-], relative to the largest entry of the tangent at a point or
+            to the ``wave_speed_modulus`` of the law, whichever is larger.
 
     Returns:
-        The largest relative error.
+        The largest relative error [-].
 
     Raises:
-        ValueError: for a law without a tangent, for arrays of wrong shape, and for a tangent that
-            is wrong: where it is, and what it should be.
+        ValueError: if the law has no tangent, an array has a wrong shape, or the tangent is wrong.
+            In the last case the message says where, and what the value should be.
     """
     rtol = positive(rtol, "rtol", "relative tolerance", "-")
     if F is None:
         if state is not None:
-            raise ValueError("a state without deformation gradients F: give those of its points")
+            raise ValueError("a state was given without deformation gradients F: give both")
         F, state = _random_step(law)
     F = np.asarray(F, dtype=np.float64)
     found = tangent(law, F, state)
@@ -126,13 +130,13 @@ def check_tangent(
             ]
         )
         error = np.abs(slopes - found[..., k, m]).max(axis=(2, 3))
-        # NaN is the worst
+        # NaN counts as the largest error
         best = np.argmin(np.where(np.isnan(error), np.inf, error), axis=0)
         expected[..., k, m] = slopes[best, np.arange(len(F))]
     scale = np.maximum(np.abs(expected).max(axis=(1, 2, 3, 4)), law.wave_speed_modulus)
     errors = np.abs(found - expected) / scale[:, None, None, None, None]
     if not len(F):
-        raise ValueError("no deformation gradients to check a tangent with")
+        raise ValueError("F has no deformation gradients: give at least one to check a tangent")
     worst = np.unravel_index(np.argmax(np.where(np.isnan(errors), np.inf, errors)), errors.shape)
     largest = float(errors[worst])
     if not largest <= rtol:
@@ -147,7 +151,7 @@ def check_tangent(
 
 
 def _random_step(law: Law) -> tuple[Array, Array]:
-    """Deformations of different size, and states before them."""
+    """Return random deformations of different size, and the states before them."""
     generator = np.random.default_rng(0)
     strains = np.repeat([1e-3, 1e-2, 5e-2, 0.1], 25)[:, None, None] / 3
     first = np.eye(3) + strains * generator.standard_normal((100, 3, 3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Constitutive laws at many points."""
+"""Evaluation of constitutive laws at many points."""
 
 from __future__ import annotations
 
@@ -20,20 +20,19 @@ Array = npt.NDArray[np.float64]
 def stress(
     law: Law, F: npt.ArrayLike, L: npt.ArrayLike | None = None, state: Array | None = None
 ) -> Array:
-    """Cauchy stress at points, and their new state.
+    """Return the Cauchy stress at points, and update their state.
 
     Args:
         law: constitutive law.
-        F: deformation gradients ``(n, 3, 3)``.
-        L: velocity gradients ``(n, 3, 3)`` [1/s]; zero if not given.
-        state: ``(n, law.n_state)``, float64, changed in place; that of undeformed points if not
-            given.
+        F: deformation gradients ``(n, 3, 3)`` [-].
+        L: velocity gradients ``(n, 3, 3)`` [1/s]. None for zero.
+        state: state ``(n, law.n_state)``, float64, changed in place. None for undeformed points.
 
     Returns:
-        ``(n, 3, 3)`` [Pa].
+        Cauchy stresses ``(n, 3, 3)`` [Pa].
 
     Raises:
-        ValueError: for arrays of wrong shape.
+        ValueError: if an array has a wrong shape.
     """
     F, state = _checked(law, F, state)
     L = np.zeros_like(F) if L is None else np.asarray(L, dtype=np.float64)
@@ -45,31 +44,35 @@ def stress(
 
 
 def bulk_to_shear(law: Law) -> float:
-    """Bulk modulus by shear modulus, by how a law answers to small strains without deformation [-].
+    """Return the ratio of bulk modulus to shear modulus at small strains [-].
 
-    It is infinite for fluids, and for what flows at once or does not resist to compression. Shear
-    comes with compression, without which sand has none.
+    The ratio is infinite for fluids, for laws that yield immediately and for laws that do not
+    resist compression. Shear is applied together with compression, since sand has no shear
+    stiffness without it.
+
+    Args:
+        law: constitutive law.
     """
     h = 1e-5
     F = np.array([np.eye(3), (1 - h) * np.eye(3), (1 - h) * np.eye(3)])
-    F[2, 0, 1] = 0.1 * h  # less than what friction holds
+    F[2, 0, 1] = 0.1 * h  # small enough for friction to hold
     undeformed, compressed, sheared = stress(law, F)
-    with np.errstate(invalid="ignore"):  # of laws that give no number
+    with np.errstate(invalid="ignore"):  # for laws that give NaN
         kappa = -np.trace(compressed - undeformed) / (9 * h)
     mu = sheared[0, 1] / (0.1 * h)
     return float(kappa / mu) if 0 < kappa < np.inf and 0 < mu < np.inf else np.inf
 
 
 def energy(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
-    """Free energy per initial volume at points, ``(n,)`` [J/m^3].
+    """Return the free energy per initial volume at points, ``(n,)`` [J/m^3].
 
     Args:
-        law: constitutive law that has an energy.
-        F: deformation gradients ``(n, 3, 3)``.
-        state: ``(n, law.n_state)``; that of undeformed points if not given.
+        law: constitutive law with an energy.
+        F: deformation gradients ``(n, 3, 3)`` [-].
+        state: state ``(n, law.n_state)``. None for undeformed points.
 
     Raises:
-        ValueError: for a law without an energy or arrays of wrong shape.
+        ValueError: if the law has no energy, or an array has a wrong shape.
     """
     if law.energy is None:
         raise ValueError(f"this law has no energy: {law}")
@@ -80,16 +83,15 @@ def energy(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
 
 
 def tangent(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
-    """Derivative dP/dF of the first Piola-Kirchhoff stress at points, ``(n, 3, 3, 3, 3)`` [Pa].
+    """Return the derivative dP/dF of the first Piola-Kirchhoff stress, ``(n, 3, 3, 3, 3)`` [Pa].
 
     Args:
-        law: constitutive law that has a tangent.
-        F: deformation gradients after the step, ``(n, 3, 3)``.
-        state: ``(n, law.n_state)`` before the step, not changed; that of undeformed points if not
-            given.
+        law: constitutive law with a tangent.
+        F: deformation gradients after the step, ``(n, 3, 3)`` [-].
+        state: state before the step, ``(n, law.n_state)``, not changed. None for undeformed points.
 
     Raises:
-        ValueError: for a law without a tangent or arrays of wrong shape.
+        ValueError: if the law has no tangent, or an array has a wrong shape.
     """
     if law.tangent is None:
         raise ValueError(f"this law has no tangent: {law}")
@@ -100,11 +102,11 @@ def tangent(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
 
 
 def state_of(law: Law, points: MaterialPoints) -> Array:
-    """State of material points, ``(n_points, law.n_state)``, from fields with the state's names.
+    """Return the state of material points, ``(n_points, law.n_state)``, from their fields.
 
     Args:
         law: constitutive law.
-        points: the body.
+        points: the body, with the fields of the law's state.
     """
     state = law.initial_state(len(points))
     for name in law.columns:
@@ -120,15 +122,15 @@ def _checked(law: Law, F: npt.ArrayLike, state: Array | None) -> tuple[Array, Ar
         state = law.initial_state(len(F))
     if state.shape != (len(F), law.n_state) or state.dtype != np.float64:
         raise ValueError(
-            f"the state must be float64 of shape {(len(F), law.n_state)}, as law.initial_state "
-            f"makes it: {state.dtype} of shape {state.shape}"
+            f"the state must be float64 of shape {(len(F), law.n_state)}, as from "
+            f"law.initial_state, not {state.dtype} of shape {state.shape}"
         )
     return F, state
 
 
 @functools.cache
 def _stresses(update: Any) -> Any:
-    """Compile a loop over points for a function of a law."""
+    """Compile a loop over points that calls ``update`` of a law."""
 
     @njit(parallel=True)
     def loop(F: Any, L: Any, parameters: Any, state: Any, sigma: Any) -> None:
@@ -140,7 +142,7 @@ def _stresses(update: Any) -> Any:
 
 @functools.cache
 def _energies(energy: Any) -> Any:
-    """As ``_stresses``."""
+    """Compile a loop over points that calls ``energy`` of a law."""
 
     @njit(parallel=True)
     def loop(F: Any, parameters: Any, state: Any, result: Any) -> None:
@@ -152,7 +154,7 @@ def _energies(energy: Any) -> Any:
 
 @functools.cache
 def _tangents(tangent: Any) -> Any:
-    """As ``_stresses``."""
+    """Compile a loop over points that calls ``tangent`` of a law."""
 
     @njit(parallel=True)
     def loop(F: Any, parameters: Any, state: Any, result: Any) -> None:

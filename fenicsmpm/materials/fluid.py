@@ -32,23 +32,23 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
 
 
 class NewtonianFluid(Law):
-    """Newtonian fluid with a bulk modulus (F-bar paper, section 4.3).
+    """Weakly compressible Newtonian fluid with a bulk modulus (F-bar paper, section 4.3).
 
-    Cauchy stress sigma = kappa (J - 1) I + 2 mu dev(sym L); energy kappa/2 (J - 1)^2 per initial
-    volume. The paper says that the equation of state has a bulk modulus, not which one it is; where
-    fluids are nearly incompressible, all agree.
+    The Cauchy stress is sigma = kappa (J - 1) I + 2 mu dev(sym L). The energy per initial volume is
+    kappa/2 (J - 1)^2. The paper gives a bulk modulus but no equation of state. For nearly
+    incompressible fluids, all equations of state agree.
 
     Args:
         kappa: bulk modulus [Pa], positive.
-        mu: dynamic viscosity [Pa s], not negative. The wave speed does not contain it: explicit
-            steps of a very viscous fluid are also bounded by density h^2 / (2 mu).
+        mu: dynamic viscosity [Pa s], not negative. The wave speed does not include it: explicit
+            steps of a very viscous fluid are also limited by density h^2 / (2 mu).
 
     Attributes:
         kappa: bulk modulus [Pa].
         mu: dynamic viscosity [Pa s].
 
     Raises:
-        ValueError: for parameters out of range.
+        ValueError: if a parameter is out of range.
     """
 
     def __init__(self, kappa: float, mu: float = 0.0) -> None:

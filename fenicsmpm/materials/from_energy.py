@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hyperelastic laws at points from an energy in UFL, by FFCx."""
+"""Hyperelastic laws at points from a UFL energy, compiled by FFCx."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from fenicsmpm.materials.law import Law, compiled, finite
 from fenicsmpm.materials.tensors import rows, volume_change
 
 
-# Parameters are the addresses of the kernels for stress and energy, which a float64 holds exactly
-# as they have less than 53 bits, and after them those of the energy. Therefore the functions below,
-# and loops with them, are compiled once for all energies.
+# The first two parameters are the addresses of the kernels for stress and energy. A float64 holds
+# them exactly, as they have fewer than 53 bits. The parameters of the energy follow. Therefore the
+# functions below, and the loops that call them, are compiled once for all energies.
 @compiled
 def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
     inputs = parameters.ctypes.data + 16
@@ -39,7 +39,7 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
 
 
 class EnergyLaw(Law):
-    """Hyperelastic law that ``from_energy`` makes.
+    """Hyperelastic law created by ``from_energy``.
 
     Attributes:
         kernels: compiled stress and energy.
@@ -48,7 +48,7 @@ class EnergyLaw(Law):
     def __init__(
         self, kernels: tuple[Kernel, Kernel], parameters: Sequence[float], modulus: float
     ) -> None:
-        """Keep the kernels: the law calls them by address."""
+        """Keep the kernels alive, because the law calls them by address."""
         self.kernels = kernels
         addresses = [float(kernel.address) for kernel in kernels]
         values = np.array([*addresses, *parameters])
@@ -69,26 +69,26 @@ def from_energy(
     comm: MPI.Comm = MPI.COMM_WORLD,
     jit_options: dict[str, Any] | None = None,
 ) -> Law:
-    """Law at points whose energy is given in UFL; no mesh is needed.
+    """Return a law at points whose energy is given in UFL; no mesh is needed.
 
-    The Cauchy stress is sigma = 1/J (d psi / d F) F^T. FFCx compiles it (collective); other
-    parameters need no new compilation.
+    The Cauchy stress is sigma = 1/J (d psi / d F) F^T. FFCx compiles it (collective). Other values
+    of the parameters need no new compilation.
 
     Args:
-        psi: ``psi(F, *parameters)``, energy per initial volume [J/m^3], UFL expression of the
-            deformation gradient F, 3x3.
-        parameters: numbers that psi gets as UFL constants.
-        wave_speed_modulus: modulus of the fastest elastic wave [Pa]; if not given, d P_11 / d F_11
-            without deformation, which is the one of an isotropic material.
+        psi: energy per initial volume ``psi(F, *parameters)`` [J/m^3], a UFL expression of the
+            deformation gradient F ``(3, 3)``.
+        parameters: numbers that psi receives as UFL constants.
+        wave_speed_modulus: modulus of the fastest elastic wave [Pa]. None for d P_11 / d F_11
+            without deformation, which is correct for isotropic materials.
         comm: MPI communicator over which the compilation is shared.
-        jit_options: options of ``dolfinx.jit.ffcx_jit`` that take priority over ours.
+        jit_options: options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
 
     Returns:
-        A law with an energy and without state. Stresses of small strains have the accuracy that
-        the formula of psi has near F = I.
+        A law with an energy and without a state. The accuracy of stresses at small strains is that
+        of the expression for psi near F = I.
 
     Raises:
-        ValueError: if psi is not scalar, parameters are no finite numbers, or the modulus without
+        ValueError: if psi is not scalar, a parameter is not a finite number, or the modulus without
             deformation is not positive.
     """
     if finite(parameters, "parameters of an energy").ndim != 1:
@@ -114,12 +114,12 @@ def from_energy(
 
 
 def _vector_space(size: int) -> ufl.FunctionSpace:
-    """Vectors of numbers without position."""
+    """Return a space of vectors of numbers without position."""
     return ufl.FunctionSpace(INTERVAL, basix.ufl.element("DG", "interval", 0, shape=(size,)))
 
 
 def _modulus_without_deformation(law: Law) -> float:
-    """Difference of P_11 = J sigma_11 / F_11 by F_11, accurate to about 9 digits."""
+    """Return d P_11 / d F_11 with P_11 = J sigma_11 / F_11 by differences, to about 9 digits."""
     h = 1e-4
     stresses = []
     for stretch in (1 - h, 1 + h):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hencky's law: linear in the logarithmic strain."""
+"""Hencky's law, which is linear in the logarithmic strain."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from fenicsmpm.materials.tensors import (
 
 @compiled
 def deviatoric_strain(b):  # type: ignore[no-untyped-def]
-    """Deviatoric logarithmic strain 1/2 dev(ln b), a symmetric tensor, of the tensor b - I."""
+    """Return the deviatoric logarithmic strain 1/2 dev(ln b), symmetric, for b - I."""
     return _half(deviator(logarithm(b)))
 
 
 @compiled
 def small_deviatoric_strain(b):  # type: ignore[no-untyped-def]
-    """As ``deviatoric_strain`` for |b - I| < SMALL, without a branch."""
+    """Return ``deviatoric_strain`` without a branch, for |b - I| < SMALL."""
     return _half(deviator(small_logarithm(b)))
 
 
@@ -41,13 +41,16 @@ def _half(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def are_small(change, b):  # type: ignore[no-untyped-def]
-    """Whether at eight points J - 1 and b - I are small enough for series."""
+    """Return whether J - 1 and b - I are small enough for series at all eight points."""
     return between(change, -SMALL, SMALL) and between(norm_squared(b), 0.0, SMALL**2)
 
 
 @compiled
 def principal_deviatoric_strain(b):  # type: ignore[no-untyped-def]
-    """As ``deviatoric_strain``: three values [-], and a tuple of 9 with directions in columns."""
+    """Return the principal values of ``deviatoric_strain`` [-], and the principal directions.
+
+    The directions are the columns of a tuple of 9.
+    """
     change, n = eigen(b)
     e1 = 0.5 * log_of_one_plus(change[0])
     e2 = 0.5 * log_of_one_plus(change[1])
@@ -58,7 +61,7 @@ def principal_deviatoric_strain(b):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_cauchy_stress(sigma, mean, two_mu, e, jacobian):  # type: ignore[no-untyped-def]
-    """Set sigma to (mean I + 2 mu e) / J, with a deviatoric strain e."""
+    """Set sigma to (mean I + 2 mu e) / J, where e is a deviatoric strain."""
     r = 1 / jacobian
     s = r * two_mu
     sigma[0, 0] = s * e[0] + r * mean
@@ -71,23 +74,23 @@ def set_cauchy_stress(sigma, mean, two_mu, e, jacobian):  # type: ignore[no-unty
 
 @compiled
 def stored_energy(mu, kappa, log_j, e):  # type: ignore[no-untyped-def]
-    """kappa/2 (ln J)^2 + mu e : e per initial volume, with a deviatoric strain e."""
+    """Return kappa/2 (ln J)^2 + mu e : e per initial volume, where e is a deviatoric strain."""
     return 0.5 * kappa * log_j**2 + mu * norm_squared(e)
 
 
 @compiled
 def set_tangent(F, log_j, e, n, mu, kappa, c, dPdF):  # type: ignore[no-untyped-def]
-    """Set dPdF where d tau_a / d eps_b = kappa + 2 mu (delta_ab - 1/3) + c e_a e_b.
+    """Set dPdF for d tau_a / d eps_b = kappa + 2 mu (delta_ab - 1/3) + c e_a e_b.
 
     Args:
-        F: deformation gradient.
+        F: deformation gradient ``(3, 3)``.
         log_j: ln J.
-        e: principal deviatoric strains, before the return in plasticity.
+        e: principal deviatoric strains, in plasticity those before the return mapping.
         n: tuple of 9 with the principal directions in its columns.
-        mu: tau_a - tau_b over 2 (e_a - e_b) [Pa].
+        mu: ratio of tau_a - tau_b to 2 (e_a - e_b) [Pa].
         kappa: bulk modulus [Pa].
-        c: see above [Pa].
-        dPdF: ``(3, 3, 3, 3)``, to be set.
+        c: coefficient c above [Pa].
+        dPdF: result ``(3, 3, 3, 3)`` [Pa].
     """
     p, third = kappa * log_j, log_j / 3
     x, y, z = e
@@ -137,8 +140,9 @@ def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
 class Hencky(Law):
     """Hencky's law (F-bar paper, sections 4.2 and 4.4; conservation paper, equation A.14).
 
-    Kirchhoff stress tau = J sigma = kappa ln(J) I + 2 mu dev(eps), with the logarithmic strain
-    eps = 1/2 ln(F F^T); energy kappa/2 (ln J)^2 + mu dev(eps) : dev(eps) per initial volume.
+    The Kirchhoff stress is tau = J sigma = kappa ln(J) I + 2 mu dev(eps), with the logarithmic
+    strain eps = 1/2 ln(F F^T). The energy per initial volume is kappa/2 (ln J)^2 + mu dev(eps) :
+    dev(eps).
 
     Args:
         E: Young's modulus [Pa], positive.
@@ -151,7 +155,7 @@ class Hencky(Law):
         kappa: bulk modulus [Pa].
 
     Raises:
-        ValueError: for parameters out of range.
+        ValueError: if a parameter is out of range.
     """
 
     def __init__(self, E: float, nu: float) -> None:

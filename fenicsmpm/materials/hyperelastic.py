@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Neo-Hookean law: in UFL, split into a deviatoric and a volumetric part, and at points."""
+"""Neo-Hookean law, in UFL with deviatoric and volumetric parts, and as a law at points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fenicsmpm.materials.law import (
 )
 from fenicsmpm.materials.tensors import inverse_cube_root, metric_change, volume_change
 
-# g(J) = U'(J) / kappa [-], the volumetric laws that the papers use
+# Volumetric laws of the papers, g(J) = U'(J) / kappa [-]
 VOLUMETRIC_LAWS: dict[str, Callable[[Any], Any]] = {
     "quadratic": lambda J: J - 1,
     "miehe": lambda J: 1 - 1 / J,
@@ -33,7 +33,7 @@ _quadratic, _miehe, _simo_taylor = (compiled(law) for law in VOLUMETRIC_LAWS.val
 
 @compiled
 def _volumetric_strain(J, law):  # type: ignore[no-untyped-def]
-    """g(J), by the number of the law in VOLUMETRIC_LAWS."""
+    """Return g(J) for the number of a law in VOLUMETRIC_LAWS."""
     if law == 0:
         return _quadratic(J)
     if law == 1:
@@ -43,7 +43,7 @@ def _volumetric_strain(J, law):  # type: ignore[no-untyped-def]
 
 @compiled
 def _volumetric_energy(J, law):  # type: ignore[no-untyped-def]
-    """U(J) / kappa, the integral of g from 1 to J."""
+    """Return U(J) / kappa, the integral of g from 1 to J."""
     if law == 0:
         return 0.5 * (J - 1) ** 2
     if law == 1:
@@ -79,24 +79,24 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
 
 
 class NeoHookean:
-    """Neo-Hookean law, deviatoric part mu/2 (I1_bar - 3) (VMS, section 2.2).
+    """Neo-Hookean law with the deviatoric energy mu/2 (I1_bar - 3) (VMS, section 2.2).
 
     Args:
         E: Young's modulus [Pa], positive.
-        nu: Poisson's ratio [-], -1 < nu <= 0.5; exactly 0.5 is an incompressible material.
-        volumetric: volumetric law U'(J) / kappa: "quadratic" J - 1 (VMS), "miehe" 1 - 1/J (CMN) or
-            "simo-taylor" (J - 1/J) / 2.
+        nu: Poisson's ratio [-], -1 < nu <= 0.5. The value 0.5 means an incompressible material.
+        volumetric: volumetric law U'(J) / kappa: "quadratic" for J - 1 (VMS), "miehe" for 1 - 1/J
+            (CMN) or "simo-taylor" for (J - 1/J) / 2.
 
     Attributes:
         E: Young's modulus [Pa].
         nu: Poisson's ratio [-].
         mu: shear modulus [Pa].
         kappa: bulk modulus [Pa], infinite for nu = 0.5.
-        inverse_kappa: its inverse [1/Pa], zero for nu = 0.5.
+        inverse_kappa: inverse of the bulk modulus [1/Pa], zero for nu = 0.5.
         volumetric: name of the volumetric law.
 
     Raises:
-        ValueError: for parameters out of range or an unknown law.
+        ValueError: if a parameter is out of range, or the volumetric law is unknown.
     """
 
     def __init__(self, E: float, nu: float, volumetric: str = "quadratic") -> None:
@@ -113,45 +113,45 @@ class NeoHookean:
         self.volumetric = volumetric
 
     def deviatoric_stress(self, F: Any) -> Any:
-        """Deviatoric Cauchy stress mu J^(-5/3) dev(F F^T) [Pa] (VMS, section 2.2).
+        """Return the deviatoric Cauchy stress mu J^(-5/3) dev(F F^T) [Pa] (VMS, section 2.2).
 
         Args:
-            F: deformation gradient, 3x3 UFL tensor.
+            F: deformation gradient ``(3, 3)``, UFL.
         """
         return self.mu * ufl.det(F) ** (-5 / 3) * ufl.dev(F * F.T)
 
     def volumetric_strain(self, J: Any) -> Any:
-        """g(J) = U'(J) / kappa [-]; the pressure of a compressible material is kappa g(J).
+        """Return g(J) = U'(J) / kappa [-]; the pressure of a compressible material is kappa g(J).
 
         Args:
-            J: determinant of the deformation gradient.
+            J: determinant of the deformation gradient [-].
         """
         return VOLUMETRIC_LAWS[self.volumetric](J)
 
     def energy(self, F: Any, J: Any) -> Any:
-        """Deviatoric strain energy per initial volume [J/m^3] (VMS, section 2.2).
+        """Return the deviatoric strain energy per initial volume [J/m^3] (VMS, section 2.2).
 
         Args:
-            F: deformation gradient, 3x3 UFL tensor.
-            J: its determinant.
+            F: deformation gradient ``(3, 3)``, UFL.
+            J: its determinant [-].
         """
         return self.mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3)
 
     def deviatoric_power(self, k: Any, U: Any, V: Any) -> Any:
-        """Virtual work of the deviatoric stress per volume before the step [J/m^3], for ``mixed``.
+        """Return the virtual work of the deviatoric stress per volume V_n [J/m^3], for ``mixed``.
 
         Args:
             k: ``Kinematics`` of the step.
-            U: unknown of the step.
+            U: function of the whole unknown.
             V: its variation.
         """
         return ufl.derivative(self.energy(k.F, k.J) / k.J_n, U, V)
 
     def volumetric_residual(self, p: Any, k: Any) -> Any:
-        """U'(J)/kappa - p/kappa [-] (VMS, equation 2), for ``mixed``.
+        """Return U'(J)/kappa - p/kappa [-] (VMS, equation 2), for ``mixed``.
 
         Args:
-            p: pressure [Pa].
+            p: pressure [Pa], positive in tension.
             k: ``Kinematics`` of the step.
         """
         residual = self.volumetric_strain(k.J)
@@ -160,26 +160,36 @@ class NeoHookean:
         return residual
 
     def modulus(self, h_squared: Any) -> Any:
-        """Shear modulus for stabilization in cells of size h [Pa]: mu, whatever their size."""
+        """Return the shear modulus for stabilization [Pa], which is mu for cells of any size.
+
+        Args:
+            h_squared: square of the cell size [m^2].
+        """
         return self.mu
 
     def subscale_modulus(self, points: Any, h_squared: Any) -> Any:
-        """Shear modulus [Pa]."""
+        """Return the shear modulus mu [Pa] for the volumetric subscales.
+
+        Args:
+            points: material points.
+            h_squared: square of the cell size [m^2].
+        """
         return self.mu
 
     def stretch_of(
         self, sigma: npt.ArrayLike
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-        """As ``materials.stretch_of``, incompressible or not.
+        """Return stretches for given stresses as ``materials.stretch_of`` does, for any nu.
 
-        The pressure tr(sigma) / 3 determines J; then F F^T = J^(5/3) / mu dev(sigma) + beta I with
-        the beta of that J.
+        The pressure tr(sigma) / 3 determines J. Then F F^T = J^(5/3) / mu dev(sigma) + beta I,
+        where beta follows from det F = J.
 
         Args:
             sigma: Cauchy stresses ``(n, 3, 3)`` [Pa], symmetric.
 
         Returns:
-            Symmetric deformation gradients ``(n, 3, 3)``, and whether there is one, ``(n,)``.
+            Symmetric deformation gradients ``(n, 3, 3)`` [-], and a mask ``(n,)`` of the points
+            where such a deformation exists.
         """
         values, axes = np.linalg.eigh(np.asarray(sigma, dtype=np.float64))
         p = values.mean(axis=1)
@@ -187,7 +197,8 @@ class NeoHookean:
         reached = np.isfinite(J) & (J > 0)
         J = np.where(reached, J, 1.0)
         s = (values - p[:, None]) * (J ** (5 / 3) / self.mu)[:, None]
-        # of the three roots of det = J^2 the largest, from where all are to the left: convex
+        # The largest of the three roots of det = J^2. Newton's method starts to the right of all
+        # roots, where the cubic is convex.
         beta = J ** (2 / 3) + np.abs(s).max(axis=1, initial=0.0)
         for _ in range(100):
             b = s + beta[:, None]
@@ -201,7 +212,7 @@ class NeoHookean:
         return np.einsum("nij,nj,nkj->nik", axes, stretches, axes), reached
 
     def _volume_of(self, g: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """J with a volumetric strain g(J); not positive or finite where there is none."""
+        """Return J for a volumetric strain g(J); not positive or not finite if no such J exists."""
         with np.errstate(divide="ignore"):
             if self.volumetric == "quadratic":
                 return 1 + g
@@ -210,10 +221,10 @@ class NeoHookean:
             return g + np.sqrt(g**2 + 1)
 
     def pointwise(self) -> Law:
-        """The law at a point: stress from the deformation alone, for explicit steps.
+        """Return the law at a point, with stresses from the deformation alone, for explicit steps.
 
         Raises:
-            ValueError: for nu = 0.5.
+            ValueError: if nu = 0.5.
         """
         mu, kappa = elastic_moduli(self.E, self.nu)
         number = list(VOLUMETRIC_LAWS).index(self.volumetric)

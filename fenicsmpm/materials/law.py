@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a constitutive law at a material point is: one compiled function, parameters, state."""
+"""Constitutive law at a material point: compiled functions, parameters and state."""
 
 from __future__ import annotations
 
@@ -12,50 +12,60 @@ from numba.core.dispatcher import Dispatcher
 
 from fenicsmpm._njit import njit
 
-# How functions of one point are compiled: division by zero gives infinity or NaN, as in C, because
-# an exception in a loop over points would name no point; products and sums are fused (fma), which
-# is faster and not less accurate. Sums are not reordered, small strains depend on that. Calls
-# are inlined, because a call counts references to its arrays, which takes longer than most laws.
+# How functions of one point are compiled:
+# - Division by zero gives infinity or NaN, as in C. An exception in a loop over points could not
+#   name the point.
+# - Products and sums are fused (fma), which is faster and at least as accurate. Sums are not
+#   reordered, because the accuracy of small strains depends on their order.
+# - Calls are inlined, because a call counts the references to its arrays, which takes longer than
+#   most laws.
 compiled = njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 
 
 @dataclass(eq=False, repr=False)
 class Law:
-    """A constitutive law as functions of one point, compiled by numba.
+    """Constitutive law, given by functions of one point that numba has compiled.
 
-    Loops over points compile them in. They must not raise, and ``update`` should not allocate; a
-    deformation gradient with a determinant <= 0 must give NaN, which the loops look for.
+    Loops over points call these functions. The functions must not raise, and ``update`` should not
+    allocate memory. For a deformation gradient with a determinant <= 0 they must give NaN, which
+    the loops detect.
 
     Args:
-        update: ``update(F, L, parameters, state, sigma)``: from the deformation gradient F
-            ``(3, 3)`` (with F-bar, the modified one; F33 stays in plane strain), the velocity
-            gradient L ``(3, 3)`` [1/s] and the state before the step, ``(n_state,)``, it sets the
-            Cauchy stress sigma ``(3, 3)`` [Pa] and the state after the step.
-        parameters: ``(n_parameters,)``, what the functions get as theirs.
-        wave_speed_modulus: modulus of the fastest elastic wave [Pa]: its speed is the root of
-            modulus over density. For solids lambda + 2 mu.
-        state: fields of the state by name: shape and initial value. At a point they stand one after
-            the other in one row of ``n_state`` numbers.
-        energy: ``energy(F, parameters, state)``: free energy per initial volume [J/m^3], of the
-            state after the step.
-        tangent: ``tangent(F, parameters, state, dPdF)``: sets the derivative
+        update: ``update(F, L, parameters, state, sigma)`` sets the Cauchy stress sigma ``(3, 3)``
+            [Pa] and replaces the state before the step ``(n_state,)`` by that after it. F is the
+            deformation gradient ``(3, 3)``, with F-bar the modified one (F33 is kept in plane
+            strain), and L the velocity gradient ``(3, 3)`` [1/s].
+        parameters: parameters ``(n_parameters,)``, which are passed to the functions.
+        wave_speed_modulus: modulus of the fastest elastic wave [Pa], whose speed is the square root
+            of modulus over density. For solids it is lambda + 2 mu.
+        state: shape and initial value of each state field, by name. The state of a point is stored
+            as one row of ``n_state`` numbers, with one field after the other.
+        energy: ``energy(F, parameters, state)`` returns the free energy per initial volume [J/m^3]
+            for the state after the step.
+        tangent: ``tangent(F, parameters, state, dPdF)`` sets the derivative
             ``dPdF[i, J, k, L] = dP[i, J] / dF[k, L]`` [Pa] of the first Piola-Kirchhoff stress
-            after the step; state is that before the step and stays as it is.
-        work_gradient: ``work_gradient(F, parameters, state, G)``: sets the derivative
-            ``G[i, J]`` [Pa] of energy and dissipation after the step with respect to F, where it
-            is not P, as in plastic flow that is not associated; state as for ``tangent``.
-        update_eight: ``update_eight(F, L, parameters, state, sigma) -> bool``: the same for eight
-            points at once, if it is easy, such as small strains: F, L and sigma in ``lanes.Row``,
-            ``state[k]`` the k-th number of each. If it returns False, the state is as it was, and
-            ``update`` is called for each point. Not needed where ``update`` has no branches and no
-            state.
-        needs_rate: whether ``update`` reads L; if not, loops save the trouble and give zeros.
-        is_fluid: whether of F only its determinant matters. Loops may then replace F by any tensor
-            of the same determinant, before round-off spoils that of a tensor with large shears.
+            after the step. The state is that before the step and must not be changed.
+        work_gradient: ``work_gradient(F, parameters, state, G)`` sets the derivative ``G[i, J]``
+            [Pa] of energy plus dissipation after the step with respect to F. It is needed where
+            this derivative differs from P, as with non-associated plastic flow. The state is
+            treated as in ``tangent``.
+        update_eight: ``update_eight(F, L, parameters, state, sigma) -> bool`` does the same as
+            ``update`` for eight points at once in simple cases, such as small strains. F, L and
+            sigma have entries of type ``lanes.Row``, and ``state[k]`` holds the k-th number of each
+            point. If it returns False, it must leave the state unchanged, and ``update`` is called
+            for each point. It is not needed if ``update`` has no branches and no state.
+        needs_rate: whether ``update`` uses L. If not, loops skip the computation of L and pass
+            zeros.
+        is_fluid: whether the stress depends on F only through its determinant. Loops may then
+            replace F by another tensor of the same determinant, before large shears spoil the
+            determinant by round-off.
+
+    Attributes:
+        columns: slice of each state field in a row of the state, by name.
 
     Raises:
-        TypeError: for a function that numba has not compiled.
-        ValueError: for parameters, initial values or a modulus that are no finite numbers.
+        TypeError: if a function was not compiled by numba.
+        ValueError: if parameters, initial values or the modulus are not finite numbers.
     """
 
     update: Callable[..., None]
@@ -70,7 +80,7 @@ class Law:
     is_fluid: bool = False
 
     def __post_init__(self) -> None:
-        """Check, and lay out the state."""
+        """Check the arguments, and lay out the state."""
         for name in ("update", "energy", "tangent", "work_gradient", "update_eight"):
             function = getattr(self, name)
             if not (isinstance(function, Dispatcher) or (function is None and name != "update")):
@@ -93,22 +103,29 @@ class Law:
 
     @property
     def n_state(self) -> int:
-        """How many numbers the state of a point has."""
+        """Number of values in the state of a point."""
         return len(self._initial_row)
 
     def initial_state(self, n_points: int) -> npt.NDArray[np.float64]:
-        """State of points that have not been deformed, ``(n_points, n_state)``."""
+        """Return the state of undeformed points, ``(n_points, n_state)``.
+
+        Args:
+            n_points: number of points.
+        """
         return np.tile(self._initial_row, (n_points, 1))
 
     def state_field(self, state: npt.NDArray[np.float64], name: str) -> npt.NDArray[np.float64]:
-        """One field of the state, a view.
+        """Return one field of the state, as a view.
 
         Args:
-            state: ``(n_points, n_state)``, C-contiguous.
-            name: of the field.
+            state: state ``(n_points, n_state)``, C-contiguous.
+            name: name of the field.
 
         Returns:
-            ``(n_points, *shape)``.
+            View of shape ``(n_points, *shape)``.
+
+        Raises:
+            KeyError: if there is no such field.
         """
         if name not in self.columns:
             raise KeyError(f"no state field {name!r} in {self!r}: {list(self.columns)}")
@@ -123,14 +140,14 @@ class Law:
 
 
 def finite(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
-    """A copy of finite real numbers, of any shape.
+    """Return a float64 copy of finite real numbers of any shape.
 
     Args:
-        values: to be checked.
-        what: they are, plural.
+        values: values to be checked.
+        what: meaning of the values for the message, in the plural.
 
     Raises:
-        ValueError: for anything else, such as text.
+        ValueError: if the values are anything else, such as text.
     """
     array = _real(values)
     if array is None:
@@ -141,16 +158,16 @@ def finite(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
 
 
 def number(value: float, symbol: str, meaning: str, unit: str) -> float:
-    """The value, if it is one real number.
+    """Return a value as float if it is one real number.
 
     Args:
-        value: to be checked.
+        value: value to be checked.
         symbol: name of the parameter.
-        meaning: what it is.
-        unit: of the value.
+        meaning: meaning of the parameter.
+        unit: unit of the value.
 
     Raises:
-        ValueError: that says which parameter it is, and its value.
+        ValueError: if it is not. The message names the parameter and its value.
     """
     array = _real(value)
     if array is None or array.shape != ():
@@ -159,7 +176,7 @@ def number(value: float, symbol: str, meaning: str, unit: str) -> float:
 
 
 def _real(values: npt.ArrayLike) -> npt.NDArray[np.float64] | None:
-    """A copy of the values as float64, None unless all are real numbers."""
+    """Return a float64 copy of the values, or None unless all are real numbers."""
     try:
         array = np.array(values)
     except ValueError:  # rows of different lengths
@@ -168,7 +185,17 @@ def _real(values: npt.ArrayLike) -> npt.NDArray[np.float64] | None:
 
 
 def positive(value: float, symbol: str, meaning: str, unit: str) -> float:
-    """As ``number``, which must be positive and finite."""
+    """Return a value as ``number`` does, if it is positive and finite.
+
+    Args:
+        value: value to be checked.
+        symbol: name of the parameter.
+        meaning: meaning of the parameter.
+        unit: unit of the value.
+
+    Raises:
+        ValueError: if it is not.
+    """
     result = number(value, symbol, meaning, unit)
     if not 0 < result < np.inf:
         raise ValueError(f"{meaning} must be positive and finite: {symbol} = {result} {unit}")
@@ -176,7 +203,17 @@ def positive(value: float, symbol: str, meaning: str, unit: str) -> float:
 
 
 def not_negative(value: float, symbol: str, meaning: str, unit: str) -> float:
-    """As ``number``, which must be finite and not negative."""
+    """Return a value as ``number`` does, if it is finite and not negative.
+
+    Args:
+        value: value to be checked.
+        symbol: name of the parameter.
+        meaning: meaning of the parameter.
+        unit: unit of the value.
+
+    Raises:
+        ValueError: if it is not.
+    """
     result = number(value, symbol, meaning, unit)
     if not 0 <= result < np.inf:
         raise ValueError(f"{meaning} must be finite and not negative: {symbol} = {result} {unit}")
@@ -184,14 +221,14 @@ def not_negative(value: float, symbol: str, meaning: str, unit: str) -> float:
 
 
 def poissons_ratio(nu: float, *, incompressible: bool) -> float:
-    """Poisson's ratio [-], if it is one: more than -1, and less than 0.5 or not more.
+    """Return Poisson's ratio [-] if it lies in the valid range.
 
     Args:
-        nu: Poisson's ratio.
-        incompressible: whether 0.5 is one.
+        nu: Poisson's ratio [-].
+        incompressible: whether 0.5 is valid.
 
     Raises:
-        ValueError: for what is none.
+        ValueError: if it lies outside.
     """
     result = number(nu, "nu", "Poisson's ratio", "-")
     if -1 < result < 0.5 or (incompressible and result == 0.5):
@@ -211,14 +248,14 @@ def poissons_ratio(nu: float, *, incompressible: bool) -> float:
 
 
 def elastic_moduli(E: float, nu: float) -> tuple[float, float]:
-    """Shear and bulk modulus mu, kappa [Pa]; both are finite.
+    """Return shear modulus mu and bulk modulus kappa [Pa]; both are finite.
 
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
 
     Raises:
-        ValueError: for parameters out of range.
+        ValueError: if a parameter is out of range.
     """
     E = positive(E, "E", "Young's modulus", "Pa")
     nu = poissons_ratio(nu, incompressible=False)
@@ -226,5 +263,10 @@ def elastic_moduli(E: float, nu: float) -> tuple[float, float]:
 
 
 def p_wave_modulus(mu: float, kappa: float) -> float:
-    """Modulus lambda + 2 mu = kappa + 4/3 mu of pressure waves in an elastic solid [Pa]."""
+    """Return the P-wave modulus lambda + 2 mu = kappa + 4/3 mu of an elastic solid [Pa].
+
+    Args:
+        mu: shear modulus [Pa].
+        kappa: bulk modulus [Pa].
+    """
     return kappa + 4 / 3 * mu

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Von Mises plasticity with Hencky's law, by radial return."""
+"""Von Mises plasticity with Hencky's law and radial return."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ _EPS_P, _DISSIPATION = 9, 10
 
 @compiled
 def _decay(eps_p, parameters):  # type: ignore[no-untyped-def]
-    """Share exp(-eta eps_p) of sigma_y - sigma_r that is left."""
+    """Return the remaining share exp(-eta eps_p) of sigma_y - sigma_r."""
     return math.exp(-parameters[4] * eps_p)
 
 
 @compiled
 def yield_stress(eps_p, decay, parameters):  # type: ignore[no-untyped-def]
-    """Yield stress sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative."""
+    """Return sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative [Pa]."""
     sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
     excess = (sigma_y - sigma_r) * decay
     return sigma_r + excess + H * eps_p, H - eta * excess
@@ -65,16 +65,16 @@ def yield_stress(eps_p, decay, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def _equivalent_stress(mu, ee):  # type: ignore[no-untyped-def]
-    """Von Mises stress sqrt(3/2) |2 mu e| of a deviatoric strain with ee = e : e."""
+    """Return the von Mises stress sqrt(3/2) |2 mu e| for a deviatoric strain with ee = e : e."""
     return mu * math.sqrt(6 * ee)
 
 
 @compiled
 def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
-    """Increment of eps_p: zero, or the d with q - 3 mu d = sigma_y(eps_p + d).
+    """Return the increment d of eps_p: zero, or the root of q - 3 mu d = sigma_y(eps_p + d).
 
-    Newton's method converges from any side: the function is monotone, and convex or concave. With
-    linear hardening its first step is exact.
+    Newton's method converges from any starting point, because the function is monotone and either
+    convex or concave. With linear hardening the first step is exact.
     """
     mu = parameters[0]
     d = 0.0
@@ -83,7 +83,7 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
     if excess <= 0:
         return d
     for _ in range(30):
-        if not abs(excess) > 1e-15 * q:  # ends for NaN too
+        if not abs(excess) > 1e-15 * q:  # also ends for NaN
             break
         d += excess / (3 * mu + slope)
         value, slope = yield_stress(eps_p + d, _decay(eps_p + d, parameters), parameters)
@@ -93,7 +93,7 @@ def _plastic_increment(q, eps_p, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def _small_plastic_increment(q, eps_p, decay, parameters):  # type: ignore[no-untyped-def]
-    """As ``_plastic_increment`` for eight points; and whether eta d is small, as is assumed."""
+    """Return ``_plastic_increment`` for eight points, and whether eta d is small, as assumed."""
     mu, eta = parameters[0], parameters[4]
     d = step = 0 * q
     for _ in range(4):
@@ -109,15 +109,15 @@ def _small_plastic_increment(q, eps_p, decay, parameters):  # type: ignore[no-un
 
 @compiled
 def _dissipated(d, decay, exprel, parameters):  # type: ignore[no-untyped-def]
-    """Integral of sigma_y - H eps_p over the increment d, with exprel(-eta d)."""
+    """Return the integral of sigma_y - H eps_p over the increment d, given exprel(-eta d)."""
     sigma_y, sigma_r = parameters[2], parameters[3]
     return sigma_r * d + (sigma_y - sigma_r) * decay * d * exprel
 
 
 @compiled
 def _flow(F, change, b, d, dissipated, state):  # type: ignore[no-untyped-def]
-    """Change the state where d > 0, with the part exp(2 e) of b_e that keeps volume."""
-    # C_p^-1 = F^-1 b_e F^-T; its volume comes from J, so that errors do not add up
+    """Update the state where d > 0, given the volume-preserving part exp(2 e) of b_e."""
+    # C_p^-1 = F^-1 b_e F^-T. Its determinant follows from J, so that errors do not accumulate.
     root = cube_root(1 + change)
     r = root * root
     c = congruence(inverse(rows(F)), (r * b[0], r * b[1], r * b[2], r * b[3], r * b[4], r * b[5]))
@@ -154,7 +154,7 @@ def _update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
 
 @compiled
 def _least_yield_stress(eps_p, parameters):  # type: ignore[no-untyped-def]
-    """A lower bound of the yield stress without an exponential, exact at eps_p = 0."""
+    """Return a lower bound of the yield stress without an exponential, exact at eps_p = 0."""
     sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
     x = eta * eps_p
     if sigma_y > sigma_r:  # (1 - x/8)^8 < exp(-x)
@@ -213,38 +213,50 @@ def _tangent(F, parameters, state, dPdF):  # type: ignore[no-untyped-def]
 
 
 class VonMises(Law):
-    """Hencky's law with von Mises (J2) plasticity (F-bar paper, section 4; conservation, 7.3, 7.4).
+    """Von Mises (J2) plasticity with Hencky's law.
 
-    The Kirchhoff stress tau = J sigma obeys ``sqrt(3/2) |dev tau| <= sigma_y(eps_p)``, with the
-    accumulated plastic strain eps_p (its rate is sqrt(2/3) times the norm of the plastic one) and
+    See the F-bar paper, section 4, and the conservation paper, sections 7.3 and 7.4.
+
+    The Kirchhoff stress tau = J sigma obeys ``sqrt(3/2) |dev tau| <= sigma_y(eps_p)``. Here eps_p
+    is the accumulated plastic strain, whose rate is sqrt(2/3) times the norm of the plastic strain
+    rate. The yield stress is
 
         sigma_y(eps_p) = sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p .
 
-    Without sigma_r this is linear hardening sigma_y + H eps_p (conservation, equation 63). The
-    elastic part of the deformation is b_e = F C_p^-1 F^T; the flow is associative, implicit in time
-    (radial return of the logarithmic strain) and keeps volume.
+    Without sigma_r this is linear hardening, sigma_y + H eps_p (conservation, equation 63). The
+    elastic part of the deformation is b_e = F C_p^-1 F^T. Plastic flow is associated and preserves
+    volume. It is integrated implicitly (radial return of the logarithmic strain).
 
-    The uniaxial strength sigma_y belongs to a shear strength sigma_y / sqrt(3), in plane strain and
-    in simple shear; to an undrained strength s_u in triaxial compression, sigma_y = 2 s_u. The
-    strengths kappa of the landslide in the F-bar paper (section 4.4) are printed without a yield
-    function. We take them as bounds of ``|dev tau|``, so sigma_y = sqrt(3/2) kappa: then 40.82 and
-    2.45 kPa are s_u = 25 and 1.5 kPa in triaxial compression, such round numbers in no other norm.
+    The uniaxial yield stress sigma_y corresponds to the shear strength sigma_y / sqrt(3) in plane
+    strain and in simple shear. It corresponds to an undrained strength s_u in triaxial compression
+    with sigma_y = 2 s_u.
 
-    State: the inverse plastic right Cauchy-Green tensor "C_p_inverse" ``(3, 3)``, "eps_p", and
-    "dissipation" [J/m^3], plastic work per initial volume that is not stored: the integral of
-    sigma_y(eps_p) - H eps_p over eps_p. With linear hardening that is the paper's (conservation,
-    below equation 47); then, and in general, stress is the derivative of energy and dissipation
-    with respect to F. What hardening stores, H eps_p^2 / 2, is part of the energy.
+    The F-bar paper (section 4.4) prints the strengths kappa of its landslide without a yield
+    function. This law treats them as bounds of ``|dev tau|``, so sigma_y = sqrt(3/2) kappa. Then
+    40.82 and 2.45 kPa correspond to s_u = 25 and 1.5 kPa in triaxial compression. In no other norm
+    are the strengths such round numbers.
+
+    The state has three fields:
+
+    - "C_p_inverse" ``(3, 3)`` is the inverse plastic right Cauchy-Green tensor [-].
+    - "eps_p" is the accumulated plastic strain [-].
+    - "dissipation" is the plastic work per initial volume that is not stored [J/m^3], the integral
+      of sigma_y(eps_p) - H eps_p over eps_p. With linear hardening this is the dissipation of the
+      paper (conservation, below equation 47).
+
+    Hardening stores H eps_p^2 / 2, which is part of the energy. In all cases, the stress is the
+    derivative of energy plus dissipation with respect to F.
 
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
         sigma_y: initial yield stress in uniaxial tension [Pa], positive.
         H: linear hardening modulus [Pa], not negative.
-        sigma_r: residual yield stress [Pa], positive; below sigma_y the material softens, above it
-            hardens up to there. Softening localizes in bands as wide as the mesh allows, since the
-            law has no length scale: a warning is logged.
-        eta: rate at which sigma_r is approached [-], positive with sigma_r.
+        sigma_r: residual yield stress [Pa], positive. The material softens if it is below sigma_y
+            and hardens up to it otherwise. Softening localizes in bands as narrow as the mesh
+            allows, since the law has no length scale. A warning is logged.
+        eta: rate at which the yield stress approaches sigma_r [-]. It must be positive if sigma_r
+            is given.
 
     Attributes:
         E: Young's modulus [Pa].
@@ -253,7 +265,8 @@ class VonMises(Law):
         kappa: bulk modulus [Pa].
 
     Raises:
-        ValueError: for parameters out of range, or softening so steep that stress is not unique.
+        ValueError: if a parameter is out of range, or softening is so steep that the stress is not
+            unique.
     """
 
     def __init__(
@@ -277,7 +290,7 @@ class VonMises(Law):
             )
         if sigma_r is None:
             if number(eta, "eta", "rate of softening", "-") != 0:
-                raise ValueError(f"eta = {eta} without a residual yield stress: give sigma_r, too")
+                raise ValueError(f"eta = {eta} without a residual yield stress: give sigma_r too")
             sigma_r = sigma_y
         else:
             sigma_r = positive(sigma_r, "sigma_r", "residual yield stress", "Pa")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The deformation at which a law at points has a given stress."""
+"""Deformation at which a law at points has a given stress."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from fenicsmpm.materials.law import Law
 
 Array = npt.NDArray[np.float64]
 
-# Symmetric changes of F: all of them, and that of fluids, whose stress does not know the others
+# Symmetric changes of F: all six for solids, and the volumetric one for fluids, whose stress does
+# not depend on the others
 _OF_VOLUME = np.eye(3)[None]
 _ALL = np.zeros((6, 3, 3))
 for _k, (_i, _j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
@@ -19,37 +20,38 @@ for _k, (_i, _j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
 
 _ITERATIONS = 60
 _HALVINGS = 10
-_LARGEST = 0.2  # change of F in an iteration, in which strains are not to run away [-]
-_DIFFERENCE = 1e-6  # largest half of central differences: nine digits of the tangent
-_NEAR = 1e-2  # half of differences by stress / modulus, so that they stay off the yield surface
-_SHORTEST = 1e-10  # half of differences, of which few digits are left
-_AT_ONCE = 20_000  # points; their tangents are in memory
-_CLOSE = 1e-9  # of stress, or of small strains times the modulus, where a stress is reached
-_PLASTIC = 1e-10  # work by modulus over squared stress, up to which it is round-off
+_LARGEST = 0.2  # largest change of F in an iteration, which keeps strains bounded [-]
+_DIFFERENCE = 1e-6  # largest step of central differences, which gives nine digits of the tangent
+_NEAR = 1e-2  # step of differences relative to stress / modulus: they stay off the yield surface
+_SHORTEST = 1e-10  # shortest step of differences, which leaves few digits
+_AT_ONCE = 20_000  # number of points whose tangents are in memory at a time
+_CLOSE = 1e-9  # tolerance relative to the stress, or to small strains times the modulus
+_PLASTIC = 1e-10  # dissipated work times modulus over squared stress, below which it is round-off
 
 
 def stretch_of(
     law: Law, sigma: npt.ArrayLike, state: Array | None = None
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Symmetric deformation gradients at which a law has given Cauchy stresses.
+    """Return symmetric deformation gradients at which a law has given Cauchy stresses.
 
-    They are found to round-off by Newton's method, with differences of the law as its tangent. It
-    starts from a small isotropic deformation, in which sand resists. Rotations before a deformation
-    change no stress of an isotropic law, so of all F with a stress this is the one without: F = U.
-    Fluids have F = J^(1/3) I.
+    Newton's method finds them to round-off, with the tangent by finite differences. It starts from
+    a small isotropic deformation, in which sand resists. A rotation before the deformation does not
+    change the stress of an isotropic law. Of all F with a given stress, this function returns the
+    one without rotation, F = U. Fluids have F = J^(1/3) I.
 
     Args:
-        law: constitutive law, at rest: velocity gradients are zero.
+        law: constitutive law, evaluated at rest with zero velocity gradients.
         sigma: Cauchy stresses ``(n, 3, 3)`` [Pa], symmetric.
-        state: ``(n, law.n_state)``, not changed; that of undeformed points if not given.
+        state: state ``(n, law.n_state)``, not changed. None for undeformed points.
 
     Returns:
-        Deformation gradients ``(n, 3, 3)``; and whether the law has these stresses there, ``(n,)``:
-        not where they are outside of the yield surface, or in directions in which it does not
-        resist. A law with a "dissipation" in its state must not dissipate on the way.
+        Deformation gradients ``(n, 3, 3)`` [-], and a mask ``(n,)`` of the points at which the law
+        has the given stress. The mask is False if the stress lies outside the yield surface, or has
+        components that the law does not resist. If the state of the law has a field "dissipation",
+        the mask is also False where the law dissipates on the way.
 
     Raises:
-        ValueError: for arrays of wrong shape.
+        ValueError: if an array has a wrong shape.
     """
     sigma = np.asarray(sigma, dtype=np.float64)
     if sigma.ndim != 3 or sigma.shape[1:] != (3, 3):
@@ -64,14 +66,20 @@ def stretch_of(
 
 def _solve(law: Law, sigma: Array, state: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     changes = _OF_VOLUME if law.is_fluid else _ALL
+<<<<<<< HEAD
     modulus = law.wave_speed_modulus
     close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * modulus)  # as F is rounded
     # no more than what the mean stress needs, as the modulus is above the bulk modulus
     mean = np.trace(sigma, axis1=1, axis2=2) / (9 * modulus)
     F = (1 + np.clip(mean, -_LARGEST, _LARGEST))[:, None, None] * np.eye(3)
     half = np.clip(_NEAR * _largest(sigma) / modulus, _SHORTEST, _DIFFERENCE)
+=======
+    # The second term is due to the round-off of F.
+    close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * law.wave_speed_modulus)
+    F = np.tile(np.eye(3), (len(sigma), 1, 1))
+>>>>>>> 3dda1a7c1d9871bbc56c8f22ecefc4b0f379cb68
     excess, size = _excess(law, F, sigma, state)
-    active = np.flatnonzero(size > 0)  # points at which the excess still falls
+    active = np.flatnonzero(size > 0)  # points at which the excess still decreases
     for _ in range(_ITERATIONS):
         if not len(active):
             break
@@ -82,29 +90,30 @@ def _solve(law: Law, sigma: Array, state: Array) -> tuple[Array, npt.NDArray[np.
             at = active[trying]
             F_new = F[at] + step[trying]
             excess_new, size_new = _excess(law, F_new, sigma[at], state[at])
-            good = size_new < size[at]  # not for NaN, of an inverted point
+            good = size_new < size[at]  # False for the NaN of an inverted point
             better[trying[good]] = True
             at = at[good]
             F[at], excess[at], size[at] = F_new[good], excess_new[good], size_new[good]
             step[trying] /= 2
             if np.all(better | (size[active] <= close[active])):
-                break  # round-off is reached where a whole step makes nothing better
+                break  # a full step brings no improvement: round-off is reached
         active = active[better & (size[active] > 0)]
     return F, size <= close
 
 
 def _excess(law: Law, F: Array, sigma: Array, state: Array) -> tuple[Array, Array]:
-    """Stress above a given one [Pa], and its size: infinite where the law flows on the way."""
+    """Return the stress minus a given one [Pa], and its size, infinite if the law has yielded."""
     after = state.copy()
     excess = stress(law, F, None, after) - sigma
     size = _largest(excess)
     if "dissipation" in law.columns:
-        # steps that stop before the yield surface lead to points on it, too
+        # Stresses on the yield surface are also reached by steps that end before yielding.
         work = law.state_field(after, "dissipation") - law.state_field(state, "dissipation")
         size[work * law.wave_speed_modulus > _PLASTIC * _largest(sigma) ** 2] = np.inf
     return excess, size
 
 
+<<<<<<< HEAD
 def _newton_step(
     law: Law, F: Array, state: Array, excess: Array, changes: Array, half: Array
 ) -> Array:
@@ -118,13 +127,18 @@ def _newton_step(
         changes: of F, symmetric.
         half: ``(n,)`` lengths of differences.
     """
+=======
+def _newton_step(law: Law, F: Array, state: Array, excess: Array, changes: Array) -> Array:
+    """Return the change of F ``(n, 3, 3)`` that removes the excess stress, limited in length."""
+>>>>>>> 3dda1a7c1d9871bbc56c8f22ecefc4b0f379cb68
     rows = np.empty((len(F), len(changes), len(changes)))
     for k, change in enumerate(changes):
         by = half[:, None, None] * change
         ahead, behind = (stress(law, F + c, None, state.copy()) for c in (by, -by))
         rows[:, :, k] = np.einsum("nij,mij->nm", ahead - behind, changes) / (2 * half[:, None])
     rows[~np.isfinite(rows)] = 0.0
-    # where a law does not resist, the matrix is singular: a little of the modulus is not felt
+    # The matrix is singular if the law has no stiffness in some direction. A tiny fraction of the
+    # modulus on the diagonal does not affect the result.
     rows += 1e-9 * law.wave_speed_modulus * np.eye(len(changes))
     right = -np.einsum("nij,mij->nm", excess, changes)
     step = np.einsum("nm,mij->nij", np.linalg.solve(rows, right[..., None])[..., 0], changes)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Strains and eigenvalues of 3x3 tensors at a point, in scalars, for numba.
+"""Strains and eigenvalues of 3x3 tensors at a point, in scalar arithmetic for numba.
 
-Symmetric tensors are tuples (11, 22, 33, 12, 13, 23), others tuples of 9 by rows. Small strains
-keep all their digits, because differences from the identity are computed from that of F.
+Symmetric tensors are tuples (11, 22, 33, 12, 13, 23). Other tensors are tuples of 9, by rows. Small
+strains keep all their digits, because differences from the identity are computed from F - I.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = [
 
 SQRT_3 = math.sqrt(3)
 
-# Up to there, logarithms and exponentials are found by series
+# Below this norm, logarithms and exponentials are computed by series
 SMALL = 0.1
 
 
@@ -53,15 +53,19 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _combine(s, a, t, b):  # type: ignore[no-untyped-def]
-    """Vector s a + t b."""
+    """Return the vector s a + t b."""
     return s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2]
 
 
 @compiled
 def inverse_cube_root(x):  # type: ignore[no-untyped-def]
-    """x^(-1/3), to round-off; NaN unless x is positive.
+    """Return x^(-1/3) to round-off, or NaN unless x is positive.
 
-    A rough guess, and iterations without a division that triple, and at last double its digits.
+    The iterations start from a rough guess and need no division. The first ones triple the number
+    of correct digits, the last one doubles it.
+
+    Args:
+        x: number, or ``lanes.Row``.
     """
     z = rough_inverse_cube_root(x)
     for _ in range(2):
@@ -73,7 +77,11 @@ def inverse_cube_root(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def cube_root(x):  # type: ignore[no-untyped-def]
-    """Cube root, to round-off; NaN unless x is positive."""
+    """Return the cube root to round-off, or NaN unless x is positive.
+
+    Args:
+        x: number, or ``lanes.Row``.
+    """
     z = inverse_cube_root(x)
     y = x * z * z
     return y + (x - y * y * y) * z * z / 3
@@ -81,13 +89,21 @@ def cube_root(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def log_of_one_plus(x):  # type: ignore[no-untyped-def]
-    """ln(1 + x) to round-off; for small x by a series, in a quarter of the time of ``log1p``."""
+    """Return ln(1 + x) to round-off, for small x by a series in a quarter of the time of log1p.
+
+    Args:
+        x: number.
+    """
     return log_of_one_plus_small(x) if abs(x) < SMALL else math.log1p(x)
 
 
 @compiled
 def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
-    """ln(1 + x) to round-off for ``|x| < SMALL``."""
+    """Return ln(1 + x) to round-off for ``|x| < SMALL``, without a branch.
+
+    Args:
+        x: number, or ``lanes.Row``.
+    """
     y = x / (2 + x)
     z = y * y
     series = 1 / 9 + z * (1 / 11 + z * (1 / 13 + z / 15))
@@ -96,13 +112,21 @@ def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def exprel(x):  # type: ignore[no-untyped-def]
-    """Relative exponential (exp(x) - 1) / x."""
+    """Return the relative exponential (exp(x) - 1) / x.
+
+    Args:
+        x: number.
+    """
     return math.expm1(x) / x if x != 0 else 1.0
 
 
 @compiled
 def exprel_small(x):  # type: ignore[no-untyped-def]
-    """As ``exprel`` to round-off for ``|x| < SMALL``, without a branch."""
+    """Return ``exprel`` to round-off for ``|x| < SMALL``, without a branch.
+
+    Args:
+        x: number, or ``lanes.Row``.
+    """
     y = 1 + x / 10
     for k in range(9, 1, -1):
         y = 1 + x * y / k
@@ -111,7 +135,11 @@ def exprel_small(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def volume_change(F):  # type: ignore[no-untyped-def]
-    """J - 1 with J = det F: sum of the principal invariants of F - I."""
+    """Return J - 1 with J = det F, as the sum of the principal invariants of F - I.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+    """
     a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
     d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
     g, h, i = F[2, 0], F[2, 1], F[2, 2] - 1
@@ -122,7 +150,11 @@ def volume_change(F):  # type: ignore[no-untyped-def]
 
 @compiled
 def metric_change(F):  # type: ignore[no-untyped-def]
-    """F F^T - I, a symmetric tensor."""
+    """Return F F^T - I, a symmetric tensor.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+    """
     a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
     d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
     g, h, i = F[2, 0], F[2, 1], F[2, 2] - 1
@@ -138,7 +170,12 @@ def metric_change(F):  # type: ignore[no-untyped-def]
 
 @compiled
 def congruence(A, S):  # type: ignore[no-untyped-def]
-    """A S A^T for a tuple A of 9 and a symmetric S, a symmetric tensor."""
+    """Return A S A^T, a symmetric tensor.
+
+    Args:
+        A: tuple of 9.
+        S: symmetric tensor.
+    """
     a, b, c = A[0:3], A[3:6], A[6:9]
     x, y, z = (S[0], S[3], S[4]), (S[3], S[1], S[5]), (S[4], S[5], S[2])
     p = _dot(a, x), _dot(a, y), _dot(a, z)
@@ -149,7 +186,11 @@ def congruence(A, S):  # type: ignore[no-untyped-def]
 
 @compiled
 def rows(F):  # type: ignore[no-untyped-def]
-    """The tuple of 9 of an array (3, 3)."""
+    """Return an array (3, 3) as a tuple of 9.
+
+    Args:
+        F: array ``(3, 3)``.
+    """
     return (
         F[0, 0], F[0, 1], F[0, 2],
         F[1, 0], F[1, 1], F[1, 2],
@@ -159,7 +200,11 @@ def rows(F):  # type: ignore[no-untyped-def]
 
 @compiled
 def inverse(A):  # type: ignore[no-untyped-def]
-    """Inverse of a tuple of 9."""
+    """Return the inverse of a tensor as a tuple of 9.
+
+    Args:
+        A: tuple of 9.
+    """
     a, b, c, d, e, f, g, h, i = A
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
     s = 1 / (a * p + b * q + c * r)
@@ -172,13 +217,18 @@ def inverse(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def compose(w, n):  # type: ignore[no-untyped-def]
-    """Symmetric tensor with eigenvalues w and eigenvectors in the columns of n."""
+    """Return the symmetric tensor with given eigenvalues and eigenvectors.
+
+    Args:
+        w: three eigenvalues.
+        n: tuple of 9 with the eigenvectors in its columns.
+    """
     return congruence(n, (w[0], w[1], w[2], 0.0, 0.0, 0.0))
 
 
 @compiled
 def _normal(a, b, c):  # type: ignore[no-untyped-def]
-    """Unit normal of the plane that three vectors span: their longest cross product."""
+    """Return the unit normal of the plane of three vectors, from their longest cross product."""
     n, p, q = _cross(a, b), _cross(a, c), _cross(b, c)
     nn, pp, qq = _dot(n, n), _dot(p, p), _dot(q, q)
     if pp > nn:
@@ -191,7 +241,7 @@ def _normal(a, b, c):  # type: ignore[no-untyped-def]
 
 @compiled
 def _perpendicular(n):  # type: ignore[no-untyped-def]
-    """A unit vector normal to the unit vector n."""
+    """Return a unit vector normal to the unit vector n."""
     if abs(n[0]) > abs(n[1]):
         s = 1 / math.sqrt(n[0] * n[0] + n[2] * n[2])
         return -s * n[2], 0.0, s * n[0]
@@ -201,17 +251,20 @@ def _perpendicular(n):  # type: ignore[no-untyped-def]
 
 @compiled
 def eigen(A):  # type: ignore[no-untyped-def]
-    """Eigenvalues and eigenvectors of a symmetric tensor.
+    """Return eigenvalues and eigenvectors of a symmetric tensor.
 
-    The eigenvalue that is far from both others follows, with its eigenvector, from the
-    characteristic polynomial; what remains is a rotation in the plane normal to it. Therefore
-    equal and nearly equal eigenvalues are no special case, errors are a few units of round-off of
-    the largest eigenvalue, and eigenvectors are orthonormal.
+    The eigenvalue that is far from the other two, and its eigenvector, follow from the
+    characteristic polynomial. The others follow from a rotation in the plane normal to this
+    eigenvector. Therefore equal and nearly equal eigenvalues need no special treatment, errors are
+    a few units of round-off of the largest eigenvalue, and eigenvectors are orthonormal.
+
+    Args:
+        A: symmetric tensor.
 
     Returns:
-        Eigenvalues in no order, and a tuple of 9 with the eigenvectors in its columns.
+        Eigenvalues in no particular order, and a tuple of 9 with the eigenvectors in its columns.
     """
-    if A[4] == 0 and A[5] == 0:  # plane strain: the third direction is one
+    if A[4] == 0 and A[5] == 0:  # plane strain: the third direction is an eigenvector
         mean = 0.0
         d1, d2, d3, a12, a13, a23 = A
         w, n, u, v = d3, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
@@ -219,7 +272,7 @@ def eigen(A):  # type: ignore[no-untyped-def]
         mean = (A[0] + A[1] + A[2]) / 3
         d1, d2, d3, a12, a13, a23 = A[0] - mean, A[1] - mean, A[2] - mean, A[3], A[4], A[5]
         p2 = (d1 * d1 + d2 * d2 + d3 * d3 + 2 * (a12 * a12 + a13 * a13 + a23 * a23)) / 6
-        if not p2 > 1e-140:  # spherical; also keeps p^4 from underflow
+        if not p2 > 1e-140:  # spherical; this also prevents underflow of p^4
             return (A[0], A[1], A[2]), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
         p = math.sqrt(p2)
         # the deviator's eigenvalues are p x with x^3 - 3 x = 2 r
@@ -247,14 +300,14 @@ def eigen(A):  # type: ignore[no-untyped-def]
     )
 
 
-# Coefficients, those of the highest powers first: 2 artanh(y) / y in powers of y^2, and exp
+# Coefficients of 2 artanh(y) / y in powers of y^2, and of exp, from the highest power down
 _LOGARITHM = tuple(2 / k for k in range(15, 0, -2))
 _EXPONENTIAL = tuple(1 / math.factorial(k) for k in range(11, -1, -1))
 
 
 @compiled
 def _times(A, B):  # type: ignore[no-untyped-def]
-    """A B of symmetric tensors with the same principal axes, a symmetric tensor."""
+    """Return A B, a symmetric tensor, of symmetric tensors with the same principal axes."""
     return (
         A[0] * B[0] + A[3] * B[3] + A[4] * B[4],
         A[3] * B[3] + A[1] * B[1] + A[5] * B[5],
@@ -267,10 +320,10 @@ def _times(A, B):  # type: ignore[no-untyped-def]
 
 @compiled
 def _polynomial(A, coefficients):  # type: ignore[no-untyped-def]
-    """Polynomial of a symmetric tensor, by Horner's rule.
+    """Return a polynomial of a symmetric tensor, by Horner's rule.
 
-    By the theorem of Cayley and Hamilton, A^3 = I_1 A^2 - I_2 A + I_3, so that any polynomial is
-    a + b A + c A^2.
+    By the Cayley-Hamilton theorem, A^3 = I_1 A^2 - I_2 A + I_3, so any polynomial has the form a +
+    b A + c A^2.
     """
     A2 = _times(A, A)
     first = A[0] + A[1] + A[2]
@@ -291,21 +344,33 @@ def _polynomial(A, coefficients):  # type: ignore[no-untyped-def]
 
 @compiled
 def norm_squared(A):  # type: ignore[no-untyped-def]
-    """A : A of a symmetric tensor."""
+    """Return A : A for a symmetric tensor.
+
+    Args:
+        A: symmetric tensor.
+    """
     mixed = A[3] * A[3] + A[4] * A[4] + A[5] * A[5]
     return A[0] * A[0] + A[1] * A[1] + A[2] * A[2] + 2 * mixed
 
 
 @compiled
 def deviator(A):  # type: ignore[no-untyped-def]
-    """A - tr(A) / 3 of a symmetric tensor."""
+    """Return A - tr(A) / 3 I for a symmetric tensor.
+
+    Args:
+        A: symmetric tensor.
+    """
     mean = (A[0] + A[1] + A[2]) / 3
     return A[0] - mean, A[1] - mean, A[2] - mean, A[3], A[4], A[5]
 
 
 @compiled
 def logarithm(A):  # type: ignore[no-untyped-def]
-    """ln(I + A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
+    """Return ln(I + A) of a symmetric tensor to round-off, without eigenvalues if A is small.
+
+    Args:
+        A: symmetric tensor.
+    """
     if norm_squared(A) < SMALL**2:
         return small_logarithm(A)
     w, n = eigen(A)
@@ -314,7 +379,11 @@ def logarithm(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def small_logarithm(A):  # type: ignore[no-untyped-def]
-    """ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for ``|A| < SMALL``."""
+    """Return ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for ``|A| < SMALL``.
+
+    Args:
+        A: symmetric tensor, of numbers or of ``lanes.Row``.
+    """
     b = (2 + A[0], A[3], A[4], A[3], 2 + A[1], A[5], A[4], A[5], 2 + A[2])
     c = inverse(b)
     Y = _times(A, (c[0], c[4], c[8], c[1], c[2], c[5]))
@@ -323,13 +392,21 @@ def small_logarithm(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def small_exponential(A):  # type: ignore[no-untyped-def]
-    """exp(A) of a symmetric tensor, to round-off for ``|A| < 2 SMALL``."""
+    """Return exp(A) of a symmetric tensor, to round-off for ``|A| < 2 SMALL``.
+
+    Args:
+        A: symmetric tensor, of numbers or of ``lanes.Row``.
+    """
     return _polynomial(A, _EXPONENTIAL)
 
 
 @compiled
 def exponential(A):  # type: ignore[no-untyped-def]
-    """exp(A) of a symmetric tensor, to round-off; for small A without eigenvalues, faster."""
+    """Return exp(A) of a symmetric tensor to round-off, without eigenvalues if A is small.
+
+    Args:
+        A: symmetric tensor.
+    """
     if norm_squared(A) < SMALL**2:
         return small_exponential(A)
     w, n = eigen(A)

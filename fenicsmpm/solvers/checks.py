@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the parts of an implicit simulation must have, so that it does what they say."""
+"""Checks that the parts of a simulation are consistent and complete."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ logger = logging.getLogger(__name__)
 
 
 def check_bcs(bcs: Sequence[fem.DirichletBC], V: fem.FunctionSpace) -> None:
-    """Raise ValueError for Dirichlet conditions that would not do what they say (collective).
+    """Raise ValueError if Dirichlet conditions would have no or a wrong effect (collective).
 
     Args:
-        bcs: the conditions.
-        V: space of the unknown.
+        bcs: Dirichlet conditions.
+        V: function space of the unknown.
+
+    Raises:
+        ValueError: if a condition is defined on another space, or has no degrees of freedom.
     """
     for bc in bcs:
         if not _compat.is_on(bc, V):
@@ -30,30 +33,48 @@ def check_bcs(bcs: Sequence[fem.DirichletBC], V: fem.FunctionSpace) -> None:
             )
         if V.mesh.comm.allreduce(len(_compat.bc_dofs(bc))) == 0:
             raise ValueError(
-                "Dirichlet condition on no degrees of freedom: check the marker that should find "
-                "them"
+                "Dirichlet condition on no degrees of freedom: check the marker that selects them"
             )
 
 
 def require_fields(body: MaterialPoints) -> None:
-    """Raise ValueError for a body without the fields of ``set_initial_state``."""
+    """Raise ValueError if a body lacks the fields of ``set_initial_state``.
+
+    Args:
+        body: the body.
+
+    Raises:
+        ValueError: if a field is missing.
+    """
     needed = ("mass", "V_0", "F", "J", "u", "v")
     missing = [name for name in needed if name not in body]
     if missing:
         raise ValueError(
             f"a body without the fields {', '.join(missing)} cannot move: call "
-            "set_initial_state(points, density) before its formulation is written down"
+            "set_initial_state(points, density) before you define its formulation"
         )
 
 
 def require_points(bodies: Sequence[MaterialPoints]) -> None:
-    """Raise ValueError, on all ranks, if no body has any points."""
+    """Raise ValueError, on all ranks, if no body has any points.
+
+    Args:
+        bodies: the bodies.
+
+    Raises:
+        ValueError: if all bodies are empty.
+    """
     if sum(body.size_global for body in bodies) == 0:
-        raise ValueError("all bodies are empty: there are no points to be moved")
+        raise ValueError("all bodies are empty: there are no points to move")
 
 
 def warn_of_points_that_stay(R: Form, moving: Sequence[MaterialPoints]) -> None:
-    """Log a warning for integrals over points that do not move."""
+    """Log a warning for integrals over points that do not move.
+
+    Args:
+        R: compiled residual.
+        moving: point sets that the simulation moves.
+    """
     for integral in R.point_integrals:
         if integral.points not in moving:
             logger.warning(

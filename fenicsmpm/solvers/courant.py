@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time steps from the condition of Courant, Friedrichs and Lewy on the grid."""
+"""Time steps from the Courant-Friedrichs-Lewy (CFL) condition on the grid."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from fenicsmpm.transfer import p2g
 
 
 class CourantStep:
-    """Length of the next step: a multiple of the one that waves take through a cell.
+    """Length of the next step as a multiple of the time that waves need to cross a cell.
 
-    Conservation paper, section 6: h sqrt(m_I / (V_I M_I)), the least of all nodes I with points,
-    with h the shortest edge of the mesh, and mass m_I, volume V_I and P-wave modulus M_I mapped
-    from the points. M_I is the mean by volume of the points' moduli; their sum, printed as equation
-    60, would shorten steps with the number of points.
+    This time is h sqrt(m_I / (V_I M_I)), the minimum over all nodes I with points (conservation
+    paper, section 6). Here h is the shortest edge of the mesh, and the mass m_I, volume V_I and
+    P-wave modulus M_I are mapped from the points. M_I is the volume average of the moduli of the
+    points. Equation 60 of the paper prints the sum instead, which would shorten the steps as the
+    number of points grows.
 
     Args:
-        laws: of each body, or P-wave moduli [Pa].
-        factor: multiple of the step of explicit dynamics [-].
-        smallest: no step is shorter [s].
-        largest: no step is longer [s].
+        laws: law of each body, or its P-wave modulus [Pa].
+        factor: multiple of the critical step of explicit dynamics [-].
+        smallest: lower bound of the step [s].
+        largest: upper bound of the step [s].
 
     Attributes:
-        history: lengths returned so far [s].
+        history: step lengths returned so far [s].
 
     Raises:
-        ValueError: for no bodies, a factor or moduli that are not positive, or bounds that exclude
-            each other; when called, if there are no points, or none with a mass.
+        ValueError: if there are no bodies, the factor or a modulus is not positive, or the bounds
+            contradict each other. A call raises it if there are no points, or no points with mass.
     """
 
     def __init__(
@@ -51,21 +52,21 @@ class CourantStep:
         smallest: float = 0.0,
         largest: float = math.inf,
     ) -> None:
-        """Find the size of the cells (collective)."""
+        """Find the cell size (collective)."""
         if not (0 < factor < math.inf and 0 <= smallest <= largest and largest > 0):
             raise ValueError(
-                "the factor of Courant's step must be positive and its bounds in order: "
+                "the factor of the Courant step must be positive and its bounds in order: "
                 f"{factor}, from {smallest} to {largest} s"
             )
         if not laws:
-            raise ValueError("Courant's step needs a body and its law")
+            raise ValueError("the Courant step needs a body and its law")
         self._moduli = {}
         for body, law in laws.items():
             modulus = law.wave_speed_modulus if isinstance(law, Law) else law
             if not isinstance(modulus, SupportsFloat):
                 raise ValueError(
-                    "Courant's step needs a law at points, such as NeoHookean(..).pointwise(), or "
-                    f"a P-wave modulus [Pa], not {law!r}"
+                    "the Courant step needs a law at points, such as NeoHookean(..).pointwise(), "
+                    f"or a P-wave modulus [Pa], not {law!r}"
                 )
             self._moduli[body] = positive(float(modulus), "M", "P-wave modulus", "Pa")
         self.factor, self.smallest, self.largest = factor, smallest, largest
@@ -79,11 +80,11 @@ class CourantStep:
         self._space = fem.functionspace(mesh, ("Lagrange", 1))
 
     def __call__(self) -> float:
-        """Length of the step that begins with the points as they are [s] (collective)."""
+        """Return the length of the step that starts from the current points [s] (collective)."""
         require_points(list(self._moduli))
         sums = np.zeros(0)
         for body, modulus in self._moduli.items():
-            # V_I cancels: V_I M_I is the sum of the points' V_p M_p
+            # V_I cancels, because V_I M_I is the sum of V_p M_p of the points
             columns = np.column_stack([body["mass"], modulus * body.weight])
             nodes = p2g(body, columns, self._space, rounded=True).array.reshape(-1, 2)
             sums = nodes if len(sums) == 0 else sums + nodes
@@ -91,7 +92,9 @@ class CourantStep:
         slowness = float(np.sqrt(np.min(mass / stiffness, initial=np.inf)))
         slowness = self._space.mesh.comm.allreduce(slowness, MPI.MIN)
         if not 0 < slowness < math.inf:
-            raise ValueError(f"Courant's step of points without mass: {slowness:g} s/m")
+            raise ValueError(
+                f"the Courant step needs points with mass: the slowness is {slowness:g} s/m"
+            )
         dt = self.factor * self._h * slowness
         dt = min(max(dt, self.smallest), self.largest)
         self.history.append(dt)
@@ -99,7 +102,7 @@ class CourantStep:
 
 
 def _shortest(corners: npt.NDArray[np.float64]) -> float:
-    """Shortest distance of two vertices of a cell, of ``(n_cells, n_vertices, d)`` [m]."""
+    """Return the shortest distance [m] of two vertices in cells ``(n_cells, n_vertices, d)``."""
     n = corners.shape[1]
     pairs = [corners[:, i] - corners[:, j] for i in range(n) for j in range(i)]
     return min(float(np.linalg.norm(edge, axis=1).min(initial=math.inf)) for edge in pairs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Linear systems by PETSc: directly where that is cheap, by a Krylov method where it is not."""
+"""Linear systems with PETSc, solved directly or, where that is cheaper, by a Krylov method."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from fenicsmpm._garbage import collect_garbage, lasting
 
 logger = logging.getLogger(__name__)
 
-# percent by which MUMPS' workspace exceeds its estimate, which pivoting makes too small
+# Percentage by which the workspace of MUMPS exceeds its estimate, since pivoting needs more
 _WORKSPACE = "mat_mumps_icntl_14"
 DIRECT = {
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
     _WORKSPACE: 100,
-    # a new pattern in each step: AMD finds its order in no time, Scotch and METIS take longer than
-    # the few factorizations that follow; AMF, a little faster, does not repeat runs on 3 ranks
+    # Each step has a new sparsity pattern. AMD orders it in almost no time, whereas Scotch and
+    # METIS take longer than the few factorizations that follow. AMF is a little faster than AMD,
+    # but runs on 3 ranks are not reproducible.
     "mat_mumps_icntl_7": 0,
 }
-# Residuals are true ones (right side), in units in which those of all parts compare (scale)
+# Preconditioning from the right gives true residuals. Diagonal scaling makes the residuals of all
+# parts comparable.
 KRYLOV = {
     "ksp_type": "gmres",
     "ksp_pc_side": "right",
@@ -39,60 +41,66 @@ KRYLOV = {
     "pc_type": "bjacobi",
     "sub_pc_type": "ilu",
 }
-# For a matrix beside which there are terms that are known by their products only: MUMPS' factors of
-# the matrix are the preconditioner
+# For a matrix plus terms that are known by their products only. The factors of the matrix by MUMPS
+# are the preconditioner.
 WITH_FACTORS = {**KRYLOV, **DIRECT, "ksp_type": "gmres", "ksp_max_it": 100}
 del WITH_FACTORS["sub_pc_type"]
-# Unknowns with material from which factors in space cost more than iterations; in the plane they
-# do not before there are millions
+# Number of unknowns with material above which factorizations in 3D cost more than iterations. In
+# 2D this happens only with millions of unknowns.
 _MANY = 15_000
-# Without a tolerance given, and the best that single systems are solved to
+# Default tolerance, and the tightest one for single systems
 TIGHT = 1e-12
 _numbers = itertools.count()
 
 
 class Products(Protocol):
-    """Terms of a matrix that are known by their products with vectors."""
+    """Interface of matrix terms that are known by their products with vectors."""
 
     def operator(self, A: PETSc.Mat) -> PETSc.Mat:
-        """A and the terms by their products, which follow a scaling of A (collective)."""
+        """Return A plus the terms as an operator that follows a scaling of A (collective)."""
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """A and the terms as a matrix, which the owner of the terms keeps (collective)."""
+        """Return A plus the terms as a matrix, which the owner of the terms keeps (collective)."""
 
 
 class LinearSolverError(RuntimeError):
-    """A linear system could not be solved."""
+    """Error for a linear system that could not be solved."""
 
 
 class LinearSolver:
-    """Solves systems with one matrix after the other.
+    """Solver for a sequence of linear systems.
 
-    By default MUMPS factorizes, but for large systems in three dimensions. GMRES solves these with
-    incomplete factors, ILU(0) of each rank's part and of a layer around it, in 300 iterations at
-    most. Where terms are added to a matrix by their products, GMRES solves all systems; MUMPS'
-    factors of the matrix are the preconditioner of those that are not large, with 100 iterations at
-    most. Where GMRES fails, MUMPS solves the whole system.
+    By default, MUMPS factorizes the matrix. There are two exceptions:
+
+    - Large systems in three dimensions are solved by GMRES with at most 300 iterations. The
+      preconditioner is ILU(0) of the part of each rank, extended by an overlap of one layer.
+    - Systems with terms that are given by their products are always solved by GMRES. If such a
+      system is not large, the preconditioner is the factorization of the matrix by MUMPS, with at
+      most 100 iterations.
+
+    If GMRES fails, MUMPS solves the whole system.
 
     Args:
         comm: MPI communicator.
-        petsc_options: PETSc options. Those with a "pc_type" other than "lu" stand alone; otherwise
-            they change those of MUMPS, which then solves all systems. None for the choice above.
-        prefix: prefix of the options in PETSc's database, by which options of the command line
-            reach the solver; None for one of its own.
+        petsc_options: PETSc options. With a "pc_type" other than "lu" they replace the default
+            options. Otherwise they modify the options of MUMPS, which then solves all systems. None
+            for the automatic choice above.
+        prefix: prefix of the options in the database of PETSc, by which command-line options reach
+            the solver. None for a unique prefix.
         dim: dimension of the mesh.
 
     Attributes:
-        ksp: the PETSc object of the options, or of MUMPS.
-        method: by which the last system was solved.
-        iterations: of the last system; 0 if MUMPS solved it.
-        systems: solved so far.
-        total_iterations: of all systems so far.
-        direct_after_all: systems so far that MUMPS solved where GMRES did not converge.
-        seconds: spent so far [s].
+        ksp: PETSc solver with the given options, or with those of MUMPS.
+        method: method that solved the last system.
+        iterations: Krylov iterations for the last system, 0 if MUMPS solved it.
+        systems: number of systems solved so far.
+        total_iterations: Krylov iterations for all systems so far.
+        direct_after_all: number of systems so far that MUMPS solved because GMRES did not converge.
+        seconds: time spent so far [s].
 
     Raises:
-        ValueError: for options that PETSc refuses, such as preconditioners that its build lacks.
+        ValueError: if PETSc rejects the options, for example for a preconditioner that its build
+            lacks.
     """
 
     def __init__(
@@ -103,8 +111,8 @@ class LinearSolver:
         *,
         dim: int = 2,
     ) -> None:
-        """Create the solver and hand over its options (collective)."""
-        collect_garbage(comm)  # of earlier solvers, or MPI runs out of communicators
+        """Create the solver and set its options (collective)."""
+        collect_garbage(comm)  # frees earlier solvers, or MPI would run out of communicators
         given = petsc_options or {}
         options = DIRECT | given if given.get("pc_type", "lu") == "lu" else given
         self._comm, self._given = comm, list(given)
@@ -129,16 +137,17 @@ class LinearSolver:
             A: assembled matrix.
             b: right-hand side.
             x: solution, overwritten.
-            rtol: tolerance of the residual relative to b, for iterations that were chosen here;
-                PETSc options have their own.
+            rtol: tolerance of the residual relative to b [-]. It applies to the automatic choice of
+                iterations only; given PETSc options have their own tolerance.
             products: terms that are added to the matrix.
 
         Returns:
             Number of Krylov iterations.
 
         Raises:
-            LinearSolverError: names PETSc's reason; a singular matrix is the usual one.
-            ValueError: for options that PETSc did not use, at the first system.
+            LinearSolverError: if the system could not be solved, with the reason of PETSc. Usually
+                the matrix is singular.
+            ValueError: after the first system, if PETSc did not use some of the given options.
         """
         begin = time.perf_counter()
         try:
@@ -152,7 +161,7 @@ class LinearSolver:
         return self.iterations
 
     def iterates(self, A: PETSc.Mat) -> bool:
-        """Whether GMRES with incomplete factors is tried first (collective).
+        """Return whether GMRES with incomplete factors is tried first (collective).
 
         Args:
             A: assembled matrix.
@@ -160,10 +169,13 @@ class LinearSolver:
         return self._is_automatic and self._dim == 3 and _is_large(A)
 
     def scaled_norm(self, b: PETSc.Vec) -> float | None:
-        """Norm of a residual as GMRES sees it; None if MUMPS solved the system (collective).
+        """Return the norm of a residual with the scaling of GMRES (collective).
 
         Args:
             b: residual.
+
+        Returns:
+            The norm, or None if MUMPS solved the last system.
         """
         if self._scale is None:
             return None
@@ -220,8 +232,8 @@ class LinearSolver:
             if reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
                 raise LinearSolverError(
                     f"the linear solver failed ({described}): {self.iterations} iterations did not "
-                    "suffice; give it more (ksp_max_it), another preconditioner, or leave the "
-                    "choice to the package (no petsc_options)"
+                    "suffice; allow more (ksp_max_it), use another preconditioner, or omit "
+                    "petsc_options to let the package choose"
                 )
             raise LinearSolverError(
                 f"the linear solver failed ({described}): the matrix may be singular; check the "
@@ -237,7 +249,7 @@ class LinearSolver:
         products: Products | None,
         is_large: bool,
     ) -> bool:
-        """Whether GMRES has solved the system."""
+        """Try to solve the system with GMRES, and return whether it has converged."""
         kind = "ILU(0)" if is_large else "mumps"
         if kind not in self._gmres:
             self._gmres[kind] = _Gmres(self._comm, is_large)
@@ -253,7 +265,7 @@ class LinearSolver:
             logger.info("GMRES: %d iterations for a reduction of %.0e", self.iterations, rtol)
             return True
         logger.info(
-            "GMRES has failed after %d iterations (%s): MUMPS solves this system",
+            "GMRES failed after %d iterations (%s): MUMPS solves this system",
             self.iterations,
             _reason(reason),
         )
@@ -262,14 +274,14 @@ class LinearSolver:
         return False
 
     def _require_used(self) -> None:
-        """Raise ValueError for options that PETSc has not asked for."""
+        """Raise ValueError for options that PETSc has not used."""
         prefix = self.ksp.getOptionsPrefix()
         unused = [key for key in self._given if not _is_used(prefix + key)]
         self._given = []
         if unused:
             raise ValueError(
-                f"PETSc did not use the option{'s' * (len(unused) > 1)} {', '.join(unused)}: a "
-                "slip of the pen, or of another solver than the one chosen"
+                f"PETSc did not use the option{'s' * (len(unused) > 1)} {', '.join(unused)}: "
+                "check the spelling, and that the chosen solver has it"
             )
 
     def _try(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> int:
@@ -283,7 +295,7 @@ class LinearSolver:
         return self.ksp.getConvergedReason()
 
     def _mumps_wants_memory(self) -> bool:
-        """Whether MUMPS gave up because pivoting needed more workspace than it had estimated."""
+        """Return whether MUMPS stopped because pivoting needed more workspace than estimated."""
         pc = self.ksp.getPC()
         if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
             return False
@@ -291,35 +303,36 @@ class LinearSolver:
 
 
 class _Gmres:
-    """GMRES with incomplete factors of a matrix, or with those of MUMPS.
+    """GMRES with incomplete factors of a matrix, or with its factorization by MUMPS.
 
-    Factors serve as long as the values of the matrix stay. Those of MUMPS serve for the next
-    values, too, as long as the iterations that these take more cost less than new factors.
+    Factors are reused as long as the values of the matrix stay the same. Factors of MUMPS are also
+    reused for new values, as long as the additional iterations cost less than a new factorization.
     """
 
     def __init__(self, comm: Any, is_large: bool) -> None:
         options = WITH_FACTORS
         if is_large:
-            # parts that overlap by a layer take two thirds of the iterations
+            # An overlap of one layer reduces the number of iterations to two thirds.
             options = KRYLOV | ({"pc_type": "asm"} if comm.size > 1 else {})
         self._ksp, _ = _create(comm, options, None)
         self._keeps = not is_large
         self._matrix: PETSc.Mat | None = None
         self._state, self._are_of_these_values = -1, False
-        # iterations for a tenth of the residual, and those that cost as much as new factors
+        # Iterations per digit with new and with the last factors, and the number of iterations
+        # that cost as much as new factors
         self._fresh, self._last, self._worth = 0.0, 0.0, 0.0
 
     def solve(
         self, operator: PETSc.Mat, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float
     ) -> tuple[int, int]:
-        """PETSc's reason and the number of iterations (collective)."""
+        """Solve a system; return the reason of PETSc and the number of iterations (collective)."""
         ksp = self._ksp
         failed = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
         is_new = failed or A is not self._matrix
         if is_new:
-            ksp.reset()  # PETSc keeps the overlap of the first pattern
+            ksp.reset()  # otherwise PETSc would keep the overlap of the first pattern
         self._matrix = A
-        more = 4 * (self._last - self._fresh)  # for a usual reduction
+        more = 4 * (self._last - self._fresh)  # for a typical reduction by 1e-4
         is_same = self._are_of_these_values and not is_new and A.stateGet() == self._state
         reuses = is_same or (self._keeps and not is_new and more <= self._worth)
         ksp.setTolerances(rtol=rtol)
@@ -331,9 +344,9 @@ class _Gmres:
             if reason > 0 or not reuses or is_same:
                 break
             reuses = False
-        ksp.setOperators(A)  # the other one may be destroyed now
+        ksp.setOperators(A)  # the caller may now destroy the operator
         self._are_of_these_values = is_same or not reuses
-        self._state = A.stateGet()  # scaling there and back has changed it
+        self._state = A.stateGet()  # scaling and unscaling have changed it
         self._last = iterations / -np.log10(rtol)
         if not reuses:
             self._fresh = self._last
@@ -343,29 +356,29 @@ class _Gmres:
 
 
 def _iterations_for_factors(F: PETSc.Mat) -> float:
-    """Solutions with factors of MUMPS that take as long as to compute them, about (collective).
+    """Return how many solves with factors of MUMPS cost as much as the factors (collective).
 
-    By counts, not by the clock, so that runs repeat: factors are computed at the speed of the
-    processor, and used at that of memory.
+    The estimate uses operation counts instead of measured times, so that runs are reproducible. The
+    speed of the processor limits the factorization, the speed of memory limits the solves.
     """
     operations, entries = F.getMumpsRinfog(3), F.getMumpsInfog(29)
-    entries = entries if entries > 0 else -1e6 * entries  # millions, where there are many
+    entries = entries if entries > 0 else -1e6 * entries  # a negative number counts millions
     return operations / (30 * entries)
 
 
 def _create(
     comm: Any, options: dict[str, Any], prefix: str | None
 ) -> tuple[PETSc.KSP, PETSc.Options]:
-    """A solver with these options, unless the command line has others."""
-    # MUMPS reads its options as late as in the factorization: they stay in the database, so each
-    # solver needs a prefix of its own
+    """Create a solver with these options; options of the command line take precedence."""
+    # MUMPS does not read its options before the factorization. They must stay in the database, so
+    # each solver needs its own prefix.
     prefix = f"fenicsmpm_{next(_numbers)}_" if prefix is None else prefix
     database = PETSc.Options(prefix)
     for key, value in options.items():
         if not database.hasName(key):
             database[key] = value
         if DIRECT.get(key) == value or KRYLOV.get(key) == value:
-            database.getString(key, "")  # "used", so PETSc does not list it at the end
+            database.getString(key, "")  # marks it as used, so PETSc does not list it at the end
     ksp = PETSc.KSP().create(lasting(comm))
     ksp.setOptionsPrefix(prefix)
     try:
@@ -378,24 +391,24 @@ def _create(
 
 
 def _is_large(A: PETSc.Mat) -> bool:
-    """Whether many rows have more than the diagonal (collective)."""
+    """Return whether many rows have entries other than the diagonal (collective)."""
     n = A.getSize()[0]
     if n < _MANY:
         return False
     entries = A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    # rows of the identity have one entry, those of displacements on tetrahedra about 45
+    # Rows of the identity have one entry, rows of displacements on tetrahedra about 45.
     return bool((entries - n) / 45 > _MANY)
 
 
 def _is_used(name: str) -> bool:
-    """Whether PETSc has asked for an option; petsc4py does not tell."""
+    """Return whether PETSc has used an option, which petsc4py cannot tell."""
     used = ctypes.c_int(0)
     ctypes.CDLL(PETSc.__file__).PetscOptionsUsed(None, name.encode(), ctypes.byref(used))
     return used.value != 0
 
 
 def _last_line(error: PETSc.Error) -> str:
-    """What PETSc says of an error, without the way to it."""
+    """Return the message of a PETSc error without its traceback."""
     return str(error).strip().splitlines()[-1].strip()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Static problems in load steps."""
+"""Static problems solved in load steps."""
 
 from __future__ import annotations
 
@@ -20,20 +20,23 @@ def solve_in_load_steps(
     first: float = 1.0,
     smallest: float = 1e-3,
 ) -> list[NewtonResult]:
-    """Raise the load from 0 to 1; a step that fails is halved, one that succeeds doubled.
+    """Increase the load factor from 0 to 1 in adaptive steps.
+
+    A step that fails is halved. After a step that succeeds, the next one is twice as long.
 
     Args:
         solver: Newton's method for the problem.
-        set_load: sets loads and Dirichlet data to a factor between 0 and 1.
-        first: first step of the load factor.
-        smallest: smallest step to try.
+        set_load: function that sets loads and Dirichlet data for a load factor between 0 and 1.
+        first: first step of the load factor [-].
+        smallest: smallest step to try [-].
 
     Returns:
-        Result of each step that succeeded.
+        Result of each successful step.
 
     Raises:
-        NewtonError: the last failure, if a step below ``smallest`` would be needed; the unknown
-            and the load are those of the last step that succeeded.
+        NewtonError: the last failure, if a step below ``smallest`` would be needed. Unknown and
+            load are then those of the last successful step.
+        ValueError: if the first step lies outside (0, 1].
     """
     if not 0 < first <= 1:
         raise ValueError(f"the first load step must lie in (0, 1]: {first}")
@@ -44,7 +47,7 @@ def solve_in_load_steps(
     while factor < 1.0:
         target = min(1.0, factor + step)
         set_load(target)
-        if last_step > 0.0:  # start from the linear continuation of the path
+        if last_step > 0.0:  # extrapolate linearly from the last two steps
             solver.U.x.array[:] = last + (target - factor) / last_step * (last - before_last)
         try:
             results.append(solver.solve())
@@ -53,7 +56,7 @@ def solve_in_load_steps(
             solver.U.x.array[:] = last
             set_load(factor)
             step = (target - factor) / 2
-            last_step = 0.0  # the continuation was too bold
+            last_step = 0.0  # do not extrapolate after a failure
             if step < smallest:
                 raise
             continue

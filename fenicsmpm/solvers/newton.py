@@ -32,49 +32,51 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-# What sums of many terms may be off by round-off, in terms of their absolute values: in any case,
-# and where a step does not make it less
+# Round-off in sums of many terms, relative to the sum of their absolute values: the usual size, and
+# the size that is accepted if a step does not reduce the residual
 _ROUND_OFF, _MOST_ROUND_OFF = 1e-14, 1e-12
-# The same in terms of what the last bits of the unknown change
+# The same relative to the change of the residual by the last bits of the unknown
 _LAST_BITS = 20.0
-# Residuals above this share of their terms, or this many times what last bits change, are no
-# round-off if steps make them less
+# A residual that steps still reduce is not round-off if it is above this share of its terms, or
+# above this multiple of its change by the last bits
 _SMALL, _FAR = 1e-9, 1e3
-# Reduction of the residual by an iteration from which on the next tangent keeps what projections
-# add to it: it hardly changes any more, and costs as much as the rest
+# If an iteration reduces the residual by this factor or more, the next tangent keeps the terms of
+# projections. These terms hardly change any more, and cost as much as the rest of the tangent.
 _LAST_CHANGES = 1e-3
 
 
 class NewtonError(RuntimeError):
-    """Newton's method failed; the unknown has its old values again.
+    """Error for a failure of Newton's method; the unknown has its old values again.
 
     Attributes:
         reason: "diverged", "not finite", "linear solver", "load without material" or "inverted".
+        message: what happened, and what to do.
         residuals: residual norms so far.
     """
 
     def __init__(self, reason: str, message: str, residuals: Sequence[float]) -> None:
-        """Join reason and message."""
+        """Combine reason and message."""
         super().__init__(f"Newton's method failed, {reason}: {message}")
         self.reason, self.message = reason, message
         self.residuals = list(residuals)
 
     def __reduce__(self) -> Any:
-        """How to make it anew, on another rank."""
+        """Return how to recreate the error on another rank."""
         return type(self), (self.reason, self.message, self.residuals)
 
 
 @dataclass
 class NewtonResult(Described):
-    """How a solution was found.
+    """Statistics of a solution by Newton's method.
 
     Attributes:
         iterations: number of linear systems solved.
-        linear_iterations: Krylov iterations that these took; 0 for direct solutions.
+        linear_iterations: number of Krylov iterations for these systems, 0 for direct solutions.
         tangents: number of tangents assembled and factorized.
-        residuals: norm of the residual on free degrees of freedom before and after each.
-        step_lengths: factor applied to each Newton step, 1 unless the line search cut it.
-        seconds: time spent on "assembly" and on the "linear solver" [s].
+        residuals: norms of the residual on free degrees of freedom, before the first and after each
+            iteration.
+        step_lengths: factor applied to each Newton step, 1 unless the step was cut.
+        seconds: time spent on "assembly", on the "linear solver" and on the "matrix pattern" [s].
     """
 
     iterations: int = 0
@@ -98,36 +100,38 @@ class NewtonResult(Described):
 
 
 class NewtonSolver:
-    """Newton's method with true residual norms and, if wanted, a line search.
+    """Newton's method with true residual norms and an optional line search.
 
     Args:
-        R: residual, UFL form of rank 1 with integrals over points, cells or facets.
-        U: the unknown in it.
+        R: residual, a UFL form of rank 1 with integrals over points, cells or facets.
+        U: the unknown in the residual.
         bcs: Dirichlet conditions.
-        J: tangent; None for ``ufl.derivative(R, U)`` and what each ``LumpedProjection`` in R adds
-            to it.
-        rtol: tolerance of the residual relative to the first one. A residual of the size of
-            round-off in its own terms is zero, too, whatever units it has.
+        J: tangent, a UFL form of rank 2. None for ``ufl.derivative(R, U)`` plus the contribution of
+            each ``LumpedProjection`` in R.
+        rtol: tolerance of the residual relative to the first one [-]. A residual as small as the
+            round-off in its own terms also counts as zero, whatever its units.
         atol: absolute tolerance of the residual, in its units.
-        max_iterations: linear systems to solve at most.
-        keep_tangent: reduction of the residual by an iteration up to which the next one uses the
-            same tangent: 0 is Newton's method, and 0.01 saves assembling and factorizing where
-            steps are so small that the first tangent serves to the end.
-        line_search: halve a step while the residual does not decrease; while it is not finite, a
-            step is halved in any case.
-        tying: takes nodes of little mass out of the system; residuals are then those of the rest.
-        petsc_options: options of the linear solver, see ``LinearSolver``. Without them, its
-            tolerance is not tighter than Newton's method needs; for quadratic convergence to the
-            end, give a Krylov method with "ksp_rtol", or MUMPS by {"pc_type": "lu"}.
+        max_iterations: maximum number of linear systems to solve.
+        keep_tangent: if an iteration reduces the residual to less than this fraction [-], the next
+            iteration reuses the tangent. 0 is Newton's method. 0.01 saves assembly and
+            factorization in steps so short that the first tangent suffices.
+        line_search: whether to halve a step until the residual decreases. A step with a residual
+            that is not finite is always halved.
+        tying: tied nodes with little mass, which are eliminated from the system. Residuals are then
+            those of the remaining degrees of freedom.
+        petsc_options: options of the linear solver; see ``LinearSolver``. Without options, the
+            tolerance of the linear solver is no tighter than Newton's method needs. For quadratic
+            convergence to the end, give a Krylov method with "ksp_rtol", or use MUMPS with
+            ``{"pc_type": "lu"}``.
 
     Attributes:
         R: compiled residual.
         J: compiled tangent.
         U: the unknown.
-        bcs: Dirichlet conditions, may be replaced between solutions.
+        bcs: Dirichlet conditions, which may be replaced between solutions.
 
     Raises:
-        ValueError: for a reduction out of range, and a tying in another space.
+        ValueError: if keep_tangent lies outside [0, 1), or nodes are tied in another space.
     """
 
     def __init__(
@@ -149,7 +153,10 @@ class NewtonSolver:
         if not 0 <= keep_tangent < 1:
             raise ValueError(f"keep_tangent must lie in [0, 1): {keep_tangent}")
         if tying is not None and tying.space != U.function_space:
-            raise ValueError("nodes are tied in another space than that of the unknown")
+            raise ValueError(
+                "nodes are tied in another space than that of the unknown: create "
+                "cells.Tying with the space of the unknown"
+            )
         self.R = forms.form(R)
         self.J = forms.form(ufl.derivative(R, U) if J is None else J)
         self.U = U
@@ -173,15 +180,15 @@ class NewtonSolver:
         self._bits: npt.NDArray[np.float64] = np.full(len(self._parts), np.nan)
 
     def solve(self) -> NewtonResult:
-        """Find U with R(U) = 0, starting from its present values (collective).
+        """Find U with R(U) = 0, starting from its current values (collective).
 
         Returns:
-            Iterations and residual norms.
+            Iterations, residual norms and times.
 
         Raises:
-            NewtonError: why it failed; U then has the values that it had before.
-            ValueError: for Dirichlet conditions on another space, or on no degrees of freedom, and
-                for a pressure whose level nothing holds.
+            NewtonError: if the method fails. U then has its previous values.
+            ValueError: if a Dirichlet condition is defined on another space or has no degrees of
+                freedom, or if nothing fixes the level of the pressure.
         """
         check_bcs(self.bcs, self.U.function_space)
         result = NewtonResult()
@@ -198,7 +205,7 @@ class NewtonSolver:
         return result
 
     def _prepare_matrix(self) -> None:
-        """A matrix with room for the points where they are now; cells without any cost nothing."""
+        """Create a matrix for the current positions of the points; empty cells cost nothing."""
         versions = self.J.versions
         if versions != self._versions:
             self._versions = versions
@@ -207,7 +214,7 @@ class NewtonSolver:
             self._A = forms.petsc.create_matrix(self.J, compact=True)
 
     def _tie(self) -> None:
-        """Find the nodes to be tied, and start from a function that obeys."""
+        """Find the nodes to tie, and start from a function that satisfies the ties."""
         assert self.tying is not None
         self.tying.update(_compat.fixed_dofs(self.bcs), forms.petsc.inactive_dofs(self.J, self._A))
         owned = len(self._step.array_r)
@@ -228,29 +235,31 @@ class NewtonSolver:
         while True:
             has_gap = self._has_gap()
             tolerance = max(self.atol, self.rtol * reference)
-            # GMRES leaves a residual in all parts; a norm of forces does not see that of volumes
+            # GMRES leaves a residual in all parts. The norm is dominated by forces and would miss
+            # the residual of the volumes, hence the scaled norm.
             if norm <= tolerance and scaled <= self.rtol * first_scaled and not has_gap:
                 return
             was_no_use = result.iterations > 0 and reduction > 0.5
             if not has_gap and self._is_round_off(was_no_use):
-                logger.info("Newton: |R| is round-off of what is summed up")
+                logger.info("Newton: |R| is round-off of the terms in its sums")
                 return
             if result.iterations == self.max_iterations:
                 raise NewtonError(
                     "diverged",
-                    f"|R| = {norm:.3e} after {self.max_iterations} iterations, {tolerance:.1e} "
-                    f"wanted (round-off at the start: about {self._round_off:.1e}); try smaller "
-                    "load steps or line_search",
+                    f"|R| = {norm:.3e} after {self.max_iterations} iterations, above the tolerance "
+                    f"{tolerance:.1e} (round-off at the start: about {self._round_off:.1e}); try "
+                    "smaller load steps or line_search",
                     result.residuals,
                 )
             if result.tangents == 0 or has_gap or reduction > self.keep_tangent:
-                # large systems, solved to a few digits, do not see the last changes of projections
+                # Large systems are solved to a few digits only, so the last changes of projections
+                # have no effect.
                 stay = result.tangents > 0 and not has_gap and reduction <= _LAST_CHANGES
                 with result.seconds("assembly"):
                     A = self._tangent(stay and self.linear.iterates(self._A))
                 result.tangents += 1
             if has_gap:
-                # the constrained values are still to be reached: the step moves all of U with them
+                # U has not reached its constrained values yet. The step moves all of U with them.
                 with result.seconds("assembly"):
                     norm = self._lifted_norm()
                 reference = max(reference, norm)
@@ -288,7 +297,10 @@ class NewtonSolver:
             logger.info("  %3d    %.6e    %.1e    %g", result.iterations, norm, reduction, length)
 
     def _require_support(self, norm: float, result: NewtonResult) -> None:
-        """No load where there is nothing to carry it, which no step would change (collective)."""
+        """Raise NewtonError for a load on nodes without material (collective).
+
+        No step could balance such a load.
+        """
         rows = forms.petsc.unreached_rows(self._A)
         loads = np.zeros(len(self._b.array_r))
         loads[rows] = self._b.array_r[rows]
@@ -296,7 +308,7 @@ class NewtonSolver:
             _compat.bc_set(bc, loads, np.zeros(len(loads)), 0.0)
         comm = self.J.mesh.comm
         size = math.sqrt(comm.allreduce(float(loads @ loads), MPI.SUM))
-        # less than that cannot be told from round-off, nor does it keep the method from its end
+        # Smaller loads cannot be distinguished from round-off, and do not prevent convergence.
         if size <= max(self.atol, self._round_off, max(self.rtol, 1e-8) * norm):
             return
         where = dof_positions(self.U.function_space)[: len(loads)]
@@ -311,7 +323,7 @@ class NewtonSolver:
         )
 
     def _advance(self, norm: float, result: NewtonResult) -> tuple[float, float]:
-        """Take the Newton step, or as much of it as the line search allows."""
+        """Take the Newton step, or the part of it that the line search allows."""
         old = self.U.x.array.copy()
         at_round_off = False
         with self._step.localForm() as local:
@@ -320,7 +332,7 @@ class NewtonSolver:
         length = 1.0
         while True:
             self.U.x.array[:] = old - length * step
-            if length == 1.0:  # what the linear solver leaves must not look like new data
+            if length == 1.0:  # errors of the linear solver must not look like new Dirichlet data
                 for bc in self.bcs:
                     _compat.bc_set(bc, self.U.x.array, None, 1.0)
             new = self._residual_norm()
@@ -344,10 +356,10 @@ class NewtonSolver:
         return new, length
 
     def _tangent(self, projections_stay: bool = False) -> PETSc.Mat:
-        """Assemble the tangent; if nodes are tied, b is lifted by the way.
+        """Assemble the tangent; if nodes are tied, also lift b.
 
         Args:
-            projections_stay: take what projections add to it from the last one.
+            projections_stay: whether to reuse the terms of projections from the last tangent.
         """
         with self._projected.held():
             self._projected.assemble(self.bcs, projections_stay)
@@ -358,7 +370,7 @@ class NewtonSolver:
             return A
 
     def _lifted_norm(self) -> float:
-        """Norm of R less J (g - U), for a step that ends on the Dirichlet data."""
+        """Return the norm of R - J (g - U), for a step that ends on the Dirichlet data."""
         if self.tying is None:
             self._residual_norm(lifted=True)
             self._projected.lift(self._b)
@@ -368,7 +380,7 @@ class NewtonSolver:
         return math.sqrt(self.J.mesh.comm.allreduce(float(free @ free), MPI.SUM))
 
     def _first_norm(self) -> float:
-        """Norm of the residual, and what the terms in its sums have (collective)."""
+        """Return the norm of the residual, and store the size of its terms (collective)."""
         sizes = self._sizes
         with sizes.localForm() as local:
             local.set(0.0)
@@ -376,12 +388,13 @@ class NewtonSolver:
         sizes.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         self._of_parts = self._norms_of_parts(sizes)
         self._round_off = _ROUND_OFF * float(np.linalg.norm(self._of_parts))
-        if not np.all(np.isfinite(self._bits)):  # of a size that stays, and each costs a residual
+        # Once is enough: the size hardly changes, and each evaluation costs a residual.
+        if not np.all(np.isfinite(self._bits)):
             self._bits = self._last_bits()
         return norm
 
     def _norms_of_parts(self, vector: PETSc.Vec) -> npt.NDArray[np.float64]:
-        """Norm of each part of the unknown, on free degrees of freedom (collective)."""
+        """Return the norm of each part of the unknown, on free degrees of freedom (collective)."""
         free = vector.array_r.copy()
         for bc in self.bcs:
             _compat.bc_set(bc, free, np.zeros(len(free)), 0.0)
@@ -390,10 +403,10 @@ class NewtonSolver:
         return np.sqrt(self.J.mesh.comm.allreduce(squares, MPI.SUM))
 
     def _is_round_off(self, was_no_use: bool) -> bool:
-        """Whether the residual of each part is of the size of round-off (collective).
+        """Return whether the residual of each part is of the size of round-off (collective).
 
         Args:
-            was_no_use: the last step has not made the residual less.
+            was_no_use: whether the last step did not reduce the residual.
         """
         norms, terms = self._norms_of_parts(self._b), self._of_parts
         if np.all(norms <= _ROUND_OFF * terms):
@@ -405,9 +418,10 @@ class NewtonSolver:
         return bool(np.all(norms <= share * terms + _LAST_BITS * self._bits))
 
     def _last_bits(self) -> npt.NDArray[np.float64]:
-        """By how much the last bits of U change the residual of each part (collective)."""
+        """Return the change of each part's residual by the last bits of U (collective)."""
         b, x, present = self._b.copy(), self.U.x.array, self.U.x.array.copy()
-        # up and down without a pattern that derivatives would not see, alike on all ranks
+        # The signs are irregular, since derivatives would not see a regular pattern. They agree on
+        # all ranks.
         index_map, bs = self.U.function_space.dofmap.index_map, self.U.function_space.dofmap.bs
         blocks = index_map.local_to_global(np.arange(len(x) // bs, dtype=np.int32))
         indices = (blocks[:, None] * bs + np.arange(bs)).ravel()
@@ -422,11 +436,11 @@ class NewtonSolver:
         return result
 
     def _residual_norm(self, lifted: bool = False, sizes: PETSc.Vec | None = None) -> float:
-        """Assemble R(U) into b; constrained entries become U - g, which the norm leaves out.
+        """Assemble R(U) into b; constrained entries become U - g, which the norm omits.
 
         Args:
-            lifted: subtract J (g - U) for a step that ends on the Dirichlet data.
-            sizes: vector to which the absolute values of what is summed up are added.
+            lifted: whether to subtract J (g - U), for a step that ends on the Dirichlet data.
+            sizes: vector to which the absolute values of the summed terms are added.
         """
         b, x = self._b, self.U.x.array
         self._assemble(lifted, sizes)
@@ -439,7 +453,7 @@ class NewtonSolver:
         return norm
 
     def _assemble(self, lifted: bool = False, sizes: PETSc.Vec | None = None) -> None:
-        """Assemble R(U) into b, without regard to Dirichlet conditions."""
+        """Assemble R(U) into b, ignoring Dirichlet conditions."""
         b = self._b
         with b.localForm() as local:
             local.set(0.0)
@@ -452,12 +466,12 @@ class NewtonSolver:
             self.tying.restrict(b)
 
     def residual(self) -> npt.NDArray[np.float64]:
-        """R(U) on owned degrees of freedom, reactions included (collective)."""
+        """Return R(U) on owned degrees of freedom, including reactions (collective)."""
         self._assemble()
         return self._b.array_r.copy()
 
     def _has_gap(self) -> bool:
-        """Whether U differs from its Dirichlet data anywhere (collective)."""
+        """Return whether U differs from its Dirichlet data anywhere (collective)."""
         x = self.U.x.array
         target = x.copy()
         for bc in self.bcs:
@@ -476,11 +490,12 @@ class NewtonSolver:
 
 
 def _forcing(norm: float, tolerance: float) -> float:
-    """Tolerance of a linear system in an inexact Newton method.
+    """Return the tolerance of a linear system in an inexact Newton method.
 
-    Three systems solved to 1e-4 are as good as three exact ones to the usual end, and take half the
-    iterations. What is nearly at the end is brought there at once, and not below. GMRES sees the
-    residual in other units than Newton's method, hence the margin.
+    Three systems solved to 1e-4 are usually as good as three exact solutions, and need half the
+    iterations. If one more system suffices to reach the tolerance, it is solved just accurately
+    enough for that. GMRES measures the residual in other units than Newton's method, hence the
+    margin.
     """
     wanted = 0.03 * tolerance / norm if norm > 0 else 0.0
     return min(0.01, wanted) if wanted > 1e-7 else 1e-4
@@ -491,6 +506,6 @@ def _is_near(
     terms: npt.NDArray[np.float64],
     last_bits: npt.NDArray[np.float64],
 ) -> bool:
-    """Whether residuals are so small that it is worth a residual to see if they are round-off."""
+    """Return whether residuals are so small that the test for round-off is worth its cost."""
     size, *limits = (float(np.linalg.norm(v)) for v in (norms, _SMALL * terms, _FAR * last_bits))
     return size <= max(limits)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the degrees of freedom of a space belong to: positions, parts, cells."""
+"""Positions, parts and cells to which the degrees of freedom of a space belong."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from dolfinx import fem
 
 
 def dof_positions(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """``(n_dofs, d)`` positions of the local degrees of freedom, unrolled (collective)."""
+    """Return the ``(n_dofs, d)`` positions [m] of local degrees of freedom, unrolled (collective).
+
+    Args:
+        V: function space.
+    """
     bs, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     if V.num_sub_spaces == 0 or bs > 1:
         return np.repeat(V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim], bs, axis=0)
@@ -23,7 +27,13 @@ def dof_positions(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def parts_of(V: fem.FunctionSpace) -> list[npt.NDArray[np.int64]]:
-    """Local dofs of the parts of a mixed space, whose values differ in unit; one if not mixed."""
+    """Return the local dofs of each part of a mixed space, or all dofs of another space.
+
+    The values of different parts have different units.
+
+    Args:
+        V: function space.
+    """
     if V.dofmap.index_map_bs > 1 or V.num_sub_spaces == 0:
         index_map = V.dofmap.index_map
         size = (index_map.size_local + index_map.num_ghosts) * V.dofmap.index_map_bs
@@ -34,9 +44,13 @@ def parts_of(V: fem.FunctionSpace) -> list[npt.NDArray[np.int64]]:
 def sizes_of_cells(
     V: fem.FunctionSpace, parts: list[npt.NDArray[np.int64]]
 ) -> npt.NDArray[np.float64]:
-    """Size of the smallest cell at local dofs of displacements, 0 at others (collective).
+    """Return the smallest cell size [m] at local dofs of displacements, 0 at others (collective).
 
-    Gradients of displacements are added to 1: their round-off is that of positions.
+    Gradients of displacements are added to 1, so their round-off is that of positions.
+
+    Args:
+        V: function space.
+        parts: local dofs of the parts of V.
     """
     domain = V.mesh
     dim, cells = domain.topology.dim, domain.topology.index_map(domain.topology.dim)

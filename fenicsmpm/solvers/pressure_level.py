@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether anything holds the level of the pressure."""
+"""Check that something fixes the level of the pressure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-_ROUND_OFF = 1e-9  # of products that do not vanish
+_ROUND_OFF = 1e-9  # relative to products that do not vanish
 
 
 def require_pressure_level(
@@ -18,16 +18,20 @@ def require_pressure_level(
     parts: list[npt.NDArray[np.int64]],
     inactive: npt.NDArray[np.int32],
 ) -> None:
-    """Raise ValueError if the tangent does not see a constant pressure (collective).
+    """Raise ValueError if the tangent times a constant pressure is zero (collective).
 
-    So it is for incompressible material in a box that it fills, if all of its wall is held: the
-    system is then singular, and the level is what round-off makes of it.
+    This happens if incompressible material fills a box with walls that are all fixed. The system is
+    then singular, and round-off determines the level of the pressure.
 
     Args:
         A: tangent.
-        V: its space; nothing is done if it is not one of displacement and pressure.
+        V: function space of the tangent. Nothing is checked unless its parts are displacement and
+            pressure.
         parts: local dofs of the parts of V.
         inactive: local dofs without material.
+
+    Raises:
+        ValueError: on all ranks, if nothing fixes the level.
     """
     shapes = [V.sub(i).ufl_element().reference_value_shape for i in range(V.num_sub_spaces)]
     if [len(shape) for shape in shapes[:2]] != [1, 0]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What projections that depend on the unknown add to the tangent, without a matrix of it."""
+"""Matrix-free tangent terms of projections that depend on the unknown."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 
 
 class ProjectedTangent:
-    """The share B D^-1 C of projections Pi = D^-1 s(U) in the tangent of a residual R(U, Pi).
+    """Terms B D^-1 C of projections Pi = D^-1 s(U) in the tangent of a residual R(U, Pi).
 
-    B is the derivative of R in Pi, C that of the sums s in U, and D has the volumes of the nodes.
-    The product couples nodes over two cells, so it is applied factor by factor.
+    B is the derivative of R with respect to Pi, C that of the sums s with respect to U, and D
+    contains the volumes at the nodes. The product couples nodes across two cells, so it is applied
+    factor by factor.
 
     Args:
-        R: residual, UFL; None for none.
-        U: the unknown in it.
-        tying: takes nodes of little mass out of the system.
+        R: residual, UFL. None for no terms.
+        U: the unknown in the residual.
+        tying: tied nodes with little mass, which are eliminated from the system. None for none.
     """
 
     def __init__(self, R: ufl.Form | None, U: fem.Function, tying: Tying | None) -> None:
@@ -47,12 +48,12 @@ class ProjectedTangent:
         self._whole: PETSc.Mat | None = None
 
     def __bool__(self) -> bool:
-        """Whether there is any such projection."""
+        """Return whether there is any such projection."""
         return bool(self._all)
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Keep projections as they are while a tangent is assembled where the residual was."""
+        """Hold the projections while a tangent is assembled at the state of the residual."""
         for factors in self._all:
             factors.projection.is_held = True
         try:
@@ -62,11 +63,11 @@ class ProjectedTangent:
                 factors.projection.is_held = False
 
     def assemble(self, bcs: Sequence[fem.DirichletBC], stays: bool = False) -> None:
-        """Assemble the factors for U as it is (collective).
+        """Assemble the factors for the current U (collective).
 
         Args:
-            bcs: Dirichlet conditions, whose rows and columns are left out.
-            stays: whether factors stay as they are, for points that have not moved.
+            bcs: Dirichlet conditions, whose rows and columns are omitted.
+            stays: whether to reuse the factors. The points must not have moved since.
         """
         if not self._all:
             return
@@ -87,7 +88,12 @@ class ProjectedTangent:
         self._mask.array_w[:] = mask
 
     def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute y = B D^-1 C x on what is neither constrained nor tied (collective)."""
+        """Compute y = B D^-1 C x on dofs that are neither constrained nor tied (collective).
+
+        Args:
+            x: vector of the unknown.
+            y: result, overwritten.
+        """
         assert self._mask is not None
         self._free.pointwiseMult(x, self._mask)
         if self._tying is None:
@@ -97,16 +103,21 @@ class ProjectedTangent:
         y.pointwiseMult(y, self._mask)
 
     def mult_all(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute y = B D^-1 C x without regard to conditions and tied nodes (collective)."""
+        """Compute y = B D^-1 C x, ignoring conditions and tied nodes (collective).
+
+        Args:
+            x: vector of the unknown.
+            y: result, overwritten.
+        """
         y.set(0.0)
         for factors in self._all:
             factors.add(x, y)
 
     def lift(self, b: PETSc.Vec) -> None:
-        """Subtract B D^-1 C s from the rest of b, for its constrained entries s (collective).
+        """Subtract B D^-1 C s from the free entries of b; s are its fixed entries (collective).
 
         Args:
-            b: residual with the steps s of what is constrained.
+            b: residual, whose constrained entries s are the steps of constrained dofs.
         """
         if not self._all:
             return
@@ -122,7 +133,7 @@ class ProjectedTangent:
         b.axpy(-1.0, self._work)
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """A + B D^-1 C as a matrix, kept until the next ``assemble`` (collective).
+        """Return A + B D^-1 C as a matrix, kept until the next ``assemble`` (collective).
 
         Args:
             A: the rest of the tangent.
@@ -145,7 +156,7 @@ class ProjectedTangent:
         return result
 
     def operator(self, A: PETSc.Mat) -> PETSc.Mat:
-        """A + B D^-1 C by its products, which follow a scaling of A (collective).
+        """Return A + B D^-1 C as a matrix-free operator that follows a scaling of A (collective).
 
         Args:
             A: the rest of the tangent.
@@ -156,7 +167,7 @@ class ProjectedTangent:
 
 
 class _Factors:
-    """B, D^-1 and C of one projection."""
+    """Factors B, D^-1 and C of one projection."""
 
     def __init__(self, projection: LumpedProjection, B: forms.Form, C: forms.Form) -> None:
         self.projection, self._forms = projection, (B, C)
@@ -192,7 +203,7 @@ class _Factors:
 
 
 class _Product:
-    """B D^-1 C as what ``Tying.product`` multiplies."""
+    """Operator B D^-1 C for ``Tying.product``."""
 
     def __init__(self, projected: ProjectedTangent) -> None:
         self._projected = projected
@@ -202,7 +213,7 @@ class _Product:
 
 
 class _Sum:
-    """A + B D^-1 C for PETSc, in which GMRES scales rows and columns of A itself."""
+    """Operator A + B D^-1 C for PETSc; GMRES itself scales rows and columns of A."""
 
     def __init__(self, A: PETSc.Mat, projected: ProjectedTangent) -> None:
         self._A, self._projected = A, projected

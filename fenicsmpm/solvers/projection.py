@@ -22,37 +22,37 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.solvers.linear import LinearSolver, LinearSolverError
 from fenicsmpm.transfer import p2g
 
-# The right-hand side is in the range of the mass, also where points are so few that the mass is
-# singular: conjugate gradients then find a solution. Residuals are measured by their energy, in
-# which round-off at nodes of nearly no mass counts as little as elsewhere. They end at round-off,
-# sooner or later.
+# The right-hand side lies in the range of the mass matrix, even if points are so few that the
+# matrix is singular. Therefore conjugate gradients find a solution. Residuals are measured in the
+# energy norm, in which round-off at nodes of little mass does not count more than elsewhere. The
+# iterations end when the residual has reached round-off.
 _OPTIONS = {
     "ksp_type": "cg",
     "ksp_norm_type": "natural",
-    "pc_type": "jacobi",  # robust; incomplete factors are not, where the mass is nearly singular
+    "pc_type": "jacobi",  # incomplete factors are not robust for a nearly singular mass
     "ksp_rtol": 1e-14,
     "ksp_atol": 1e-300,
     "ksp_max_it": 5000,
     "ksp_converged_maxits": True,
 }
-_TOLERANCE = 1e-10  # of what is accepted
+_TOLERANCE = 1e-10  # largest accepted residual, relative to the right-hand side
 
 
 class EffectiveProjection:
-    """Velocities of nodes from those of points by (1 - epsilon) M + epsilon M_lumped.
+    """Projection of velocities to the grid with the mass (1 - epsilon) M + epsilon M_lumped.
 
-    Conservation paper, equations 18 and 26. With tied nodes, the equation holds for the functions
-    that obey them: momenta, and the energy that points gain, are kept all the same, since these
-    functions are among those of the solution.
+    The mass is that of the conservation paper, equations 18 and 26. With tied nodes, the equation
+    holds for test functions that satisfy the ties. The solution lies in the same space, so the
+    projection still conserves momenta and the energy that the points gain.
 
     Args:
         point_sets: bodies with the field "mass" [kg].
-        space: of the grid functions, blocked Lagrange.
+        space: space of the grid functions, blocked Lagrange.
         lumping: share epsilon of the lumped mass [-].
-        tying: tied nodes of the space; None for none.
+        tying: tied nodes of the space. None for none.
 
     Raises:
-        ValueError: for tied nodes of another space.
+        ValueError: if nodes are tied in another space.
     """
 
     def __init__(
@@ -62,14 +62,15 @@ class EffectiveProjection:
         lumping: float,
         tying: Tying | None = None,
     ) -> None:
-        """Compile the mass (collective)."""
+        """Compile the mass form (collective)."""
         if tying is not None and tying.space is not space:
             raise ValueError(
-                f"nodes are tied in the space of the grid functions, {space}, not in {tying.space}"
+                f"nodes must be tied in the space of the grid functions, {space}, not in "
+                f"{tying.space}"
             )
         self.point_sets, self.space, self.lumping = list(point_sets), space, lumping
         self._tying = tying
-        # all components have the same mass
+        # All components have the same mass.
         scalars, dofs = space.sub(0).collapse()
         # dolfinx 0.11 gives a list with one array
         dofs = np.ravel(dofs)[: scalars.dofmap.index_map.size_local]
@@ -79,9 +80,9 @@ class EffectiveProjection:
         self._solver = LinearSolver(space.mesh.comm, _OPTIONS)
 
     def mass(self) -> PETSc.Mat:
-        """The effective mass of the points as they are [kg], given by its products (collective).
+        """Return the effective mass of the current points [kg] as an operator (collective).
 
-        Nodes without points have a row of the identity.
+        Rows of nodes without points are those of the identity.
         """
         A = forms.petsc.create_matrix(self._form, compact=True)
         forms.petsc.assemble_matrix(self._form, A=A)
@@ -97,14 +98,14 @@ class EffectiveProjection:
         return _operator(_ByComponent(A, self._blocks, bs), self.space)
 
     def project(self, functions: Mapping[str, fem.Function], fixed: npt.ArrayLike = ()) -> None:
-        """Set functions to the projections of fields (collective).
+        """Set functions to the projections of point fields (collective).
 
         Args:
-            functions: of the space, by the field's name.
-            fixed: local degrees of freedom of Dirichlet conditions, which are not tied.
+            functions: functions of the space, by field name.
+            fixed: local degrees of freedom with Dirichlet conditions, which are not tied.
 
         Raises:
-            LinearSolverError: if there is no such projection; the functions are as before.
+            LinearSolverError: if the projection does not exist. The functions are then unchanged.
         """
         A = operator = self.mass()
         b, x = A.createVecs()
@@ -143,13 +144,13 @@ class EffectiveProjection:
             why = f"; {error}"
         raise LinearSolverError(
             "the mass of the points is singular or not finite, so that their velocities cannot be "
-            "mapped to the grid: check their masses; where few points see a node, tie it "
-            f"(cells.Tying) or use some lumped mass (lumping > 0){why}"
+            "mapped to the grid: check their masses, tie nodes with few points nearby "
+            f"(cells.Tying), or use some lumped mass (lumping > 0){why}"
         )
 
     @staticmethod
     def _residual(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> float:
-        """Residual as a share of the right-hand side, each by node and its own mass."""
+        """Return the residual relative to the right-hand side, each scaled by the nodal mass."""
         diagonal, residual = A.getDiagonal(), b.duplicate()
         A.mult(x, residual)
         residual.axpy(-1.0, b)
@@ -164,14 +165,14 @@ class EffectiveProjection:
         return norms[0] / norms[1] if norms[1] > 0 else 0.0
 
     def _sums(self, name: str) -> npt.NDArray[np.float64]:
-        """``(n_owned_dofs,)`` sums of N_I m f."""
+        """Return the ``(n_owned_dofs,)`` sums of N_I m f."""
         total: Any = 0.0
         for points in self.point_sets:
             total = total + p2g(points, points["mass"][:, None] * points[name], self.space).array
         return total[: len(self._blocks) * self.space.dofmap.index_map_bs]
 
     def _nodal_mass(self) -> npt.NDArray[np.float64]:
-        """``(n_owned_nodes,)`` sums of N_I m [kg]."""
+        """Return the ``(n_owned_nodes,)`` sums of N_I m [kg]."""
         total: Any = 0.0
         for points in self.point_sets:
             total = total + p2g(points, points["mass"], self.space).array
@@ -179,7 +180,7 @@ class EffectiveProjection:
 
 
 class _ByComponent:
-    """The same matrix for each component of a blocked space."""
+    """Operator that applies the same matrix to each component of a blocked space."""
 
     def __init__(self, A: PETSc.Mat, blocks: npt.NDArray[np.int32], bs: int) -> None:
         self._A, self._blocks = A, blocks
@@ -203,7 +204,7 @@ class _ByComponent:
 
 
 class _Tied:
-    """A matrix between functions that obey tied nodes; its diagonal is that of the matrix."""
+    """Matrix restricted to functions that satisfy the ties; its diagonal is that of the matrix."""
 
     def __init__(self, A: PETSc.Mat, tying: Tying) -> None:
         self._A, self._tying = A, tying
@@ -216,7 +217,7 @@ class _Tied:
 
 
 def _operator(context: Any, space: fem.FunctionSpace) -> PETSc.Mat:
-    """Matrix of a blocked space that is given by its products."""
+    """Return a matrix-free operator on a blocked space."""
     bs, index_map = space.dofmap.index_map_bs, space.dofmap.index_map
     sizes = index_map.size_local * bs, index_map.size_global * bs
     matrix = PETSc.Mat().createPython((sizes, sizes), context, lasting(space.mesh.comm))

@@ -13,10 +13,10 @@ class Stopwatch(dict[str, float]):
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Measure a block.
+        """Measure the time of a block.
 
         Args:
-            stage: name under which its time is added up.
+            stage: name of the stage to which the time is added.
         """
         start = time.perf_counter()
         try:
@@ -28,12 +28,12 @@ class Stopwatch(dict[str, float]):
         """Add time to a stage.
 
         Args:
-            stage: its name.
+            stage: name of the stage.
             seconds: time [s].
         """
         self[stage] = self.get(stage, 0.0) + seconds
 
     def __str__(self) -> str:
-        """Seconds of each stage, the longest first."""
+        """Return the seconds of each stage, the longest first."""
         stages = sorted(self.items(), key=lambda item: -item[1])
         return ", ".join(f"{stage} {seconds:.2g} s" for stage, seconds in stages) or "none"

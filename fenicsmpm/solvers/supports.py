@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether anything holds a body that has no inertia."""
+"""Check that supports or inertia hold a body."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-_ROUND_OFF = 1e-9  # of products that do not vanish
+_ROUND_OFF = 1e-9  # relative to products that do not vanish
 
 
 def require_supports(
     A: PETSc.Mat, V: fem.FunctionSpace, x: npt.NDArray[np.float64], inactive: npt.NDArray[np.int32]
 ) -> str | None:
-    """What is wrong if the tangent does not see a rigid motion in space (collective).
+    """Return an error message if the tangent times a rigid motion is zero in space (collective).
 
-    Iterations would find some solution of such a system, or none; factors are zero somewhere.
+    A direct solver would find a zero pivot in such a system. Iterations, however, would find some
+    solution or none.
 
     Args:
         A: tangent.
-        V: its space; only a first part with three components is looked at.
-        x: ``(n_dofs, 3)`` positions of the local degrees of freedom [m].
+        V: function space of the tangent. Only its first part is checked, if it has three
+            components.
+        x: positions of the local degrees of freedom ``(n_dofs, 3)`` [m].
         inactive: local dofs without material.
 
     Returns:
-        A sentence, or None.
+        A sentence, or None if the body is held.
     """
     motion = V.sub(0) if V.num_sub_spaces > 0 and V.dofmap.index_map_bs == 1 else V
     if motion.num_sub_spaces != 3:
@@ -72,5 +74,5 @@ def require_supports(
         return None
     return (
         f"nothing holds the body, which can {', '.join(free)}: the matrix is singular; check the "
-        "Dirichlet conditions, or give it inertia by a time scheme"
+        "Dirichlet conditions, or give the body inertia by a time scheme"
     )

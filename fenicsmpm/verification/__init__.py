@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Manufactured solutions and studies of convergence."""
+"""Manufactured solutions and convergence studies."""
 
 from fenicsmpm.verification.convergence import Convergence
 from fenicsmpm.verification.manufactured import Exact, Manufactured

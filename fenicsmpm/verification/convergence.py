@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Orders of convergence: a table that grows, fits and a plot."""
+"""Orders of convergence: a growing table, regression and a plot."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ from fenicsmpm.io import Table
 
 
 class Convergence:
-    """Errors over sizes of cells, printed row by row with the orders between them.
+    """Table of errors for decreasing cell sizes, printed row by row with convergence orders.
 
     Args:
         errors: titles of the errors, such as "displacement".
-        size: title of the sizes.
+        size: title of the cell sizes.
+
+    Attributes:
+        sizes: cell sizes so far.
+        errors: errors of each row so far, in the order of the titles.
     """
 
     def __init__(self, errors: Sequence[str], size: str = "h [m]") -> None:
@@ -32,17 +36,19 @@ class Convergence:
         self._table = Table(columns)
 
     def add(self, size: float, **errors: float) -> None:
-        """Print a row.
+        """Add and print a row.
 
         Args:
-            size: of the cells.
-            errors: by their titles.
+            size: cell size, in the unit of its title.
+            errors: errors by title.
 
         Raises:
-            ValueError: for other titles than those of the table.
+            ValueError: if the titles differ from those of the table.
         """
         if set(errors) != set(self._titles):
-            raise ValueError(f"errors of {', '.join(errors)} for {', '.join(self._titles)}")
+            raise ValueError(
+                f"the table needs errors of {', '.join(self._titles)}, not of {', '.join(errors)}"
+            )
         self.sizes.append(size)
         self.errors.append(tuple(errors[title] for title in self._titles))
         row: list[float | None] = [size]
@@ -55,10 +61,10 @@ class Convergence:
         self._table.row(*row)
 
     def orders(self, last: int | None = None) -> Mapping[str, float]:
-        """Slopes of the regression lines of log(error) over log(size), by title.
+        """Return the slopes of regression lines of log(error) over log(size), by title [-].
 
         Args:
-            last: how many of the last rows to take; None for all.
+            last: number of last rows to use. None for all rows.
         """
         h, e = np.log(self.sizes), np.log(self.errors)
         first = 0 if last is None else len(h) - last
@@ -66,11 +72,11 @@ class Convergence:
         return dict(zip(self._titles, map(float, slopes), strict=True))
 
     def plot(self, path: str | Path, slope: float = 2.0) -> None:
-        """Draw errors over sizes with a line of a slope, on rank 0.
+        """Plot errors over sizes together with a line of a given slope, on rank 0.
 
         Args:
-            path: of the picture; missing directories are made.
-            slope: of the dotted line.
+            path: path of the picture. Missing directories are created.
+            slope: slope of the dotted line [-].
         """
         if MPI.COMM_WORLD.rank != 0:
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Manufactured solutions: the loads that make a given motion the exact one."""
+"""Method of manufactured solutions: loads for which a given motion is the exact solution."""
 
 from __future__ import annotations
 
@@ -21,23 +21,26 @@ from fenicsmpm.points import MaterialPoints
 
 
 class Manufactured:
-    """A motion of one's choice, and by UFL all that follows from it.
+    """A chosen motion, and all quantities that follow from it by UFL.
 
-    With the displacement u(X, t) and the first Piola-Kirchhoff stress P of F = I + du/dX, the
-    balance of momentum needs the force per mass b = u'' - Div P / rho_0. Derivatives with respect
-    to X and t are UFL's own.
+    Given the displacement u(X, t) and the first Piola-Kirchhoff stress P for F = I + du/dX, the
+    balance of momentum requires the force per mass b = u'' - Div P / rho_0. UFL computes the
+    derivatives with respect to X and t.
 
     Args:
         mesh: background mesh.
-        displacement: from the material position X and the time t to the d components of u [m], UFL.
-        stress: from F and its rate, both 3x3, to P [Pa], 3x3; F may be differentiated by, as in
-            ``lambda F, rate: ufl.diff(law.energy(F, ufl.det(F)), F)``.
-        density: of the undeformed body [kg/m^d].
-        pressure: from X and t to the mean stress p [Pa] whose J p F^-T is added to P; None for a
-            stress without a pressure of its own.
+        displacement: function from the material position X and the time t to the d components of u
+            [m], UFL.
+        stress: function from F and its rate, both ``(3, 3)``, to P ``(3, 3)`` [Pa]. F is a UFL
+            variable, so ``lambda F, rate: ufl.diff(law.energy(F, ufl.det(F)), F)`` is valid.
+        density: density of the undeformed body [kg/m^d].
+        pressure: function from X and t to the mean stress p [Pa]. The term J p F^-T is then added
+            to P. None for no such term.
 
     Attributes:
-        time: at which all is taken [s], a ``fem.Constant``.
+        time: time at which all quantities are evaluated [s], a ``fem.Constant``.
+        mesh: background mesh.
+        density: density of the undeformed body [kg/m^d].
     """
 
     def __init__(
@@ -48,18 +51,19 @@ class Manufactured:
         density: float,
         pressure: Callable[[Any, Any], Any] | None = None,
     ) -> None:
-        """Take the functions."""
+        """Store the functions."""
         self.mesh, self.density, self.time = mesh, float(density), fem.Constant(mesh, 0.0)
         self._displacement, self._stress, self._pressure = displacement, stress, pressure
         self._at: dict[Any, Exact] = {}
         self._forces: dict[MaterialPoints, PointExpression] = {}
 
     def at(self, points: MaterialPoints | None = None) -> Exact:
-        """Exact fields at material points, or at the mesh's own positions.
+        """Return the exact fields at material points, or at positions on the mesh.
 
         Args:
-            points: with their initial positions in the field "X", which is added if it is missing;
-                None for functions of ``ufl.SpatialCoordinate``, where nothing has moved.
+            points: material points with their initial positions in the field "X", which is added if
+                missing. None for fields in terms of ``ufl.SpatialCoordinate``, which suit places
+                that do not move.
         """
         if points not in self._at:
             if points is None:
@@ -74,9 +78,10 @@ class Manufactured:
         return self._at[points]
 
     def force(self, body: MaterialPoints) -> Any:
-        """The force per mass b [m/s^2] as a field of the points, renewed by ``at_end`` and so on.
+        """Return the force per mass b ``(d,)`` [m/s^2] as a field of the points.
 
-        Long expressions are evaluated once a step in this way, and need no tangent.
+        ``set_time``, ``at_end`` and the other ``at_...`` functions for time loops update the field.
+        Long expressions are then evaluated only once per step, and need no tangent.
 
         Args:
             body: material points.
@@ -87,35 +92,50 @@ class Manufactured:
         return body.field("body force")
 
     def set_time(self, time: float) -> None:
-        """Take loads of another time.
+        """Set the time, and update the forces.
 
         Args:
-            time: [s].
+            time: new time [s].
         """
         self.time.value = time
         for body, force in self._forces.items():
             body["body force"] = force.evaluate()
 
     def at_beginning(self, start: float, end: float) -> None:
-        """``data`` of explicit steps: loads of the beginning of a step."""
+        """Set the time to the start of a step; pass this as ``data`` to explicit loops.
+
+        Args:
+            start: time at the start of the step [s].
+            end: time at the end of the step [s].
+        """
         self.set_time(start)
 
     def at_middle(self, start: float, end: float) -> None:
-        """``data`` of the mid-point rule: loads of the middle of a step."""
+        """Set the time to the middle of a step; pass this as ``data`` with the mid-point rule.
+
+        Args:
+            start: time at the start of the step [s].
+            end: time at the end of the step [s].
+        """
         self.set_time((start + end) / 2)
 
     def at_end(self, start: float, end: float) -> None:
-        """``data`` of implicit steps: loads of the end of a step."""
+        """Set the time to the end of a step; pass this as ``data`` to implicit loops.
+
+        Args:
+            start: time at the start of the step [s].
+            end: time at the end of the step [s].
+        """
         self.set_time(end)
 
     def set_initial_state(self, body: MaterialPoints) -> None:
-        """Give undeformed points mass and velocity of the time zero (collective).
+        """Give undeformed points their mass and the exact velocity at time zero (collective).
 
         Args:
             body: material points with volumes as weights [m^d].
 
         Raises:
-            ValueError: for a motion that has displacements at time zero.
+            ValueError: if the displacement at time zero is not zero.
         """
         self.time.value = 0.0
         exact = self.at(body)
@@ -125,17 +145,20 @@ class Manufactured:
         largest = body.mesh.comm.allreduce(float(np.abs(u).max(initial=0.0)), MPI.MAX)
         extent = float(np.ptp(body.mesh.geometry.x, axis=0).max())
         if largest > 1e-9 * body.mesh.comm.allreduce(extent, MPI.MAX):  # not round-off
-            raise ValueError(f"points begin undeformed, but the motion has moved by {largest:g} m")
+            raise ValueError(
+                f"the displacement at time zero is {largest:g} m: choose a motion that starts "
+                "from the undeformed body"
+            )
         set_initial_state(body, self.density)
         body["v"] = v
         body.add_field("grad_v", gradient.shape[1:], gradient)
 
     def interpolate(self, name: str, space: fem.FunctionSpace) -> fem.Function:
-        """A field at the mesh's own positions as a function, such as a boundary value.
+        """Return an exact field on the mesh as a function, for example as a boundary value.
 
         Args:
-            name: of an attribute of ``Exact``, such as "u".
-            space: of the function.
+            name: name of an attribute of ``Exact``, such as "u".
+            space: space of the function.
         """
         result = fem.Function(space, name=name)
         value = getattr(self.at(), name)
@@ -143,11 +166,15 @@ class Manufactured:
         return result
 
     def error(self, body: MaterialPoints, name: str) -> float:
-        """Relative error of a field of the points in L2, by their initial volumes (collective).
+        """Return the relative L2 error of a field of the points, with initial volumes (collective).
 
         Args:
-            body: material points, as they are at ``time``.
-            name: of a field that is an attribute of ``Exact``, such as "u", "v", "p" or "F".
+            body: material points at the current ``time``.
+            name: name of a field that is also an attribute of ``Exact``, such as "u", "v", "p" or
+                "F".
+
+        Returns:
+            Relative error [-].
         """
         exact = PointExpression(getattr(self.at(body), name), body).evaluate()
         weight = body["V_0"]
@@ -157,25 +184,25 @@ class Manufactured:
 
 
 class Exact:
-    """Exact fields, UFL over points or over the mesh; see ``Manufactured``.
+    """Exact fields, in UFL over points or over the mesh; see ``Manufactured``.
 
     Attributes:
-        u: displacement [m].
-        v: velocity [m/s].
-        grad_v: its spatial gradient [1/s].
-        a: acceleration [m/s^2].
-        F: deformation gradient, 3x3.
-        J: its determinant.
-        p: mean stress that was given [Pa]; None without.
-        P: first Piola-Kirchhoff stress [Pa], 3x3.
-        b: force per mass [m/s^2].
+        u: displacement ``(d,)`` [m].
+        v: velocity ``(d,)`` [m/s].
+        grad_v: spatial gradient of the velocity ``(d, d)`` [1/s].
+        a: acceleration ``(d,)`` [m/s^2].
+        F: deformation gradient ``(3, 3)`` [-].
+        J: determinant of F [-].
+        p: given mean stress [Pa], or None.
+        P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa].
+        b: force per mass ``(d,)`` [m/s^2].
     """
 
     def __init__(
         self, X: Any, time: fem.Constant, displacement: Any, stress: Any, density: float,
         pressure: Any,
     ) -> None:  # fmt: skip
-        """Write down what follows from the motion."""
+        """Derive all fields from the motion."""
         X, t = ufl.variable(X), ufl.variable(time)
         (dim,) = X.ufl_shape
         self.u = ufl.as_vector(list(displacement(X, t)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Motions of the literature, as ``displacement`` of ``Manufactured``, and the bodies they need."""
+"""Motions from the literature for ``Manufactured``, and the bodies that they need."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ Motion = Callable[[Any, Any], tuple[Any, ...]]
 
 
 def axis_aligned_waves(amplitude: float, frequency: float) -> Motion:
-    """Standing waves in a unit square or cube between rollers, one a direction.
+    """Return standing waves in a unit square or cube on rollers, one wave for each direction.
 
-    P. Wallstedt and J. Guilkey, J. Comput. Phys. 227 (2008): u_i = +- A sin(2 pi X_i) sin(pi f t).
+    The displacement is u_i = +- A sin(2 pi X_i) sin(pi f t) (P. Wallstedt and J. Guilkey, J.
+    Comput. Phys. 227, 2008).
 
     Args:
-        amplitude: A [m].
-        frequency: f [1/s], such as the wave speed per length.
+        amplitude: amplitude A [m].
+        frequency: f [1/s], for example the wave speed divided by the length of the body.
+
+    Returns:
+        Function ``displacement(X, t)`` for ``Manufactured``.
     """
 
     def displacement(X: Any, t: Any) -> tuple[Any, ...]:
@@ -36,14 +40,18 @@ def axis_aligned_waves(amplitude: float, frequency: float) -> Motion:
 
 
 def generalized_vortex(angle: float, period: float = 1.0) -> Motion:
-    """Layers of a ring turn about the origin and back; its surfaces stay and are free of stress.
+    """Return a motion in which the layers of a ring rotate about the origin and back.
 
-    After K. Kamojjala, R. Brannon, A. Sadeghirad and J. Guilkey, Eng. Comput. 31 (2015): angles
-    a sin(pi t / T)^2 (1 - 32 s^2 + 256 s^4) with s = R - 1, for 0.75 < R < 1.25. Volume is kept.
+    The surfaces of the ring do not move and are free of stress, and the volume is conserved. For
+    0.75 < R < 1.25 the angle is a sin(pi t / T)^2 (1 - 32 s^2 + 256 s^4) with s = R - 1 (after K.
+    Kamojjala, R. Brannon, A. Sadeghirad and J. Guilkey, Eng. Comput. 31, 2015).
 
     Args:
-        angle: largest one a, at R = 1.
-        period: T until all is as before [s].
+        angle: largest angle a [rad], at R = 1 m.
+        period: time T until the ring has returned to its initial state [s].
+
+    Returns:
+        Function ``displacement(X, t)`` for ``Manufactured``.
     """
 
     def displacement(X: Any, t: Any) -> tuple[Any, ...]:
@@ -56,13 +64,13 @@ def generalized_vortex(angle: float, period: float = 1.0) -> Motion:
 
 
 def ring(mesh: Any, spacing: float, inner: float = 0.75, outer: float = 1.25) -> MaterialPoints:
-    """Points on circles about the origin, each with its part of the ring as its volume.
+    """Return points on circles about the origin, each with its part of the ring as its volume.
 
     Args:
-        mesh: background mesh in the plane around it.
-        spacing: about that of the points [m].
-        inner: radius [m].
-        outer: radius [m].
+        mesh: plane background mesh around the ring.
+        spacing: approximate distance of the points [m].
+        inner: inner radius [m].
+        outer: outer radius [m].
     """
     count = max(1, round((outer - inner) / spacing))
     width = (outer - inner) / count
