@@ -66,18 +66,13 @@ def stretch_of(
 
 def _solve(law: Law, sigma: Array, state: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     changes = _OF_VOLUME if law.is_fluid else _ALL
-<<<<<<< HEAD
     modulus = law.wave_speed_modulus
-    close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * modulus)  # as F is rounded
-    # no more than what the mean stress needs, as the modulus is above the bulk modulus
+    # The second term is due to the round-off of F.
+    close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * modulus)
+    # The modulus is larger than the bulk modulus, so this is not more than the mean stress needs.
     mean = np.trace(sigma, axis1=1, axis2=2) / (9 * modulus)
     F = (1 + np.clip(mean, -_LARGEST, _LARGEST))[:, None, None] * np.eye(3)
     half = np.clip(_NEAR * _largest(sigma) / modulus, _SHORTEST, _DIFFERENCE)
-=======
-    # The second term is due to the round-off of F.
-    close = _CLOSE * np.maximum(_largest(sigma), 1e-6 * law.wave_speed_modulus)
-    F = np.tile(np.eye(3), (len(sigma), 1, 1))
->>>>>>> 3dda1a7c1d9871bbc56c8f22ecefc4b0f379cb68
     excess, size = _excess(law, F, sigma, state)
     active = np.flatnonzero(size > 0)  # points at which the excess still decreases
     for _ in range(_ITERATIONS):
@@ -113,24 +108,19 @@ def _excess(law: Law, F: Array, sigma: Array, state: Array) -> tuple[Array, Arra
     return excess, size
 
 
-<<<<<<< HEAD
 def _newton_step(
     law: Law, F: Array, state: Array, excess: Array, changes: Array, half: Array
 ) -> Array:
-    """Change of F ``(n, 3, 3)`` by which the excess of stress would vanish, not too long.
+    """Return the change of F ``(n, 3, 3)`` that removes the excess stress, limited in length.
 
     Args:
         law: constitutive law.
-        F: ``(n, 3, 3)`` where it begins.
-        state: ``(n, law.n_state)``.
-        excess: ``(n, 3, 3)`` of stress [Pa].
-        changes: of F, symmetric.
-        half: ``(n,)`` lengths of differences.
+        F: deformation gradients ``(n, 3, 3)`` at the start [-].
+        state: state ``(n, law.n_state)`` at the start.
+        excess: excess stress ``(n, 3, 3)`` [Pa].
+        changes: symmetric directions ``(m, 3, 3)`` in which F may change.
+        half: steps of the central differences ``(n,)``.
     """
-=======
-def _newton_step(law: Law, F: Array, state: Array, excess: Array, changes: Array) -> Array:
-    """Return the change of F ``(n, 3, 3)`` that removes the excess stress, limited in length."""
->>>>>>> 3dda1a7c1d9871bbc56c8f22ecefc4b0f379cb68
     rows = np.empty((len(F), len(changes), len(changes)))
     for k, change in enumerate(changes):
         by = half[:, None, None] * change
