@@ -463,7 +463,7 @@ def test_materials_that_cannot_have_a_stress():
     "arguments,message",
     [
         (([0.0, 1.0], [1e3, 1e3], 0.5), "from the surface downwards"),
-        (([1.0, 0.0], 1e3, 0.5), "a top, a density and a K0 each: 2, 1 and 1"),
+        (([1.0, 0.0], 1e3, 0.5), "a density and a K0, but 2, 1 and 1 values"),
         ((0.0, -1e3, 0.5), "densities must be positive"),
         ((0.0, 1e3, -0.5), "K0 not negative"),
         ((0.0, math.nan, 0.5), "densities of layers must be finite"),
