@@ -185,7 +185,7 @@ BOX = shapes.Box((0, 0), (1, 1))
         (lambda: RigidBody(BOX, 0.1, velocity=(np.nan, 0)), "velocity .* must be finite"),
         (lambda: RigidBody(BOX, 0.1, velocity=(1, 0, 0)), r"velocity .* shape \(2,\)"),
         (lambda: RigidBody(BOX, 0.1, angular_velocity=(1, 0)), "angular velocity .* shape"),
-        (lambda: RigidBody(BOX, 0.1, gravity=(0, -9.81)), "gravity .* prescribed motion has no effect"),
+        (lambda: RigidBody(BOX, 0.1, gravity=(0, -9.81)), "gravity .* has no effect"),
         (lambda: Inertia(0.0, 1.0, (0, 0)), "positive finite mass"),
         (lambda: Inertia(1.0, -1.0, (0, 0)), "positive definite"),
         (lambda: Inertia(1.0, np.diag([1, 1, 0]), (0, 0, 0)), "positive definite"),

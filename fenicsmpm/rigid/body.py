@@ -144,7 +144,7 @@ class RigidBody:
         if self.inertia is not None:
             if centre is not None:
                 raise ValueError(
-                    "a free body rotates about the centre of its inertia: leave out the centre"
+                    "the centre of a free body is that of its inertia: leave out the centre"
                 )
             return self.inertia.centre
         if centre is not None:
