@@ -44,11 +44,15 @@ from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.residual import Residual
 from fenicsmpm.simulation.rigid_state import memory_of, remember, slip_on
 from fenicsmpm.simulation.step import Step
+from fenicsmpm.simulation.torn_off import TornOff
 from fenicsmpm.simulation.unstable import UnstableError
 from fenicsmpm.solvers.checks import check_bcs, require_points
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
+
+# Steps after which carried points are looked at, which may bring all points up to date
+_LOOK = 100
 
 
 class ExplicitMPM(Described):
@@ -105,6 +109,7 @@ class ExplicitMPM(Described):
         reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
         duration: dt as a constant for UFL, such as that of ``updates`` [s].
         seconds: time spent in each stage so far [s].
+        smallest_height: of all cells [m].
 
     Raises:
         TypeError: for a residual that is no form.
@@ -171,12 +176,14 @@ class ExplicitMPM(Described):
         self.seconds = Stopwatch()
         self._cfl, self._given_dt, self._warned = cfl, dt, False
         self._longest_dt = self._stable = math.inf
-        self._h = _smallest_height(V.mesh)
+        self.smallest_height = _smallest_height(V.mesh)
         way = OnLattice if self._is_for_kernels() else ByForms
         self.dt = dt or 1.0
         self.duration = fem.Constant(V.mesh, self.dt)
         self._way: OnLattice | ByForms = way(self, self._all_updates(R, updates or {}))
         self.dt = self._step_length()
+        self._torn_off, self._next_look = TornOff(self.bodies, self.carried), _LOOK
+        self._torn_off.look(self.time)
         self._observers = Observers(observers)
         self._observers.call("start", self)
 
@@ -186,7 +193,7 @@ class ExplicitMPM(Described):
         """What the residual's fields say of their renewal, and the user's updates."""
         moving = [*self.bodies, *self.carried]
         check_updates(updates, moving)
-        found = renewals(R, moving, self.duration * self.velocity)
+        found = renewals(R, dict.fromkeys(moving, self.duration * self.velocity))
         return {
             points: {**found[points], **updates.get(points, {})}
             for points in moving
@@ -311,6 +318,9 @@ class ExplicitMPM(Described):
 
     def _done(self, removed: int) -> Step:
         """The last step, when observers have seen it."""
+        if self.number >= self._next_look:
+            self._torn_off.look(self.time)
+            self._next_look = self.number + _LOOK
         step = Step(self.number, self.time, self.dt, removed=removed)
         self._observers.done(self, step)
         return step
@@ -383,7 +393,7 @@ class ExplicitMPM(Described):
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
         require_points(self.bodies)
         fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
-        return self._h / fastest if fastest > 0 else math.inf
+        return self.smallest_height / fastest if fastest > 0 else math.inf
 
     @property
     def contact_rate(self) -> float:
