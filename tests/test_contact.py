@@ -350,6 +350,7 @@ def test_gaps_are_those_of_the_surfaces():
         out = (probe.x - 0.5) / radius
         assert forms.evaluate(gap.normal, probe) == pytest.approx(out, abs=0.02)
         assert gap.least() == pytest.approx(radius - 0.2, abs=1e-4)
+    assert repr(gap) == f"SurfaceGap(of 200 points to a surface of {surface.size_global} points)"
     line = points.on_curve(domain, (0.6, 0.5), (0.2, 0.5), spacing=0.02)  # its normal is up
     line_b = points.on_curve(domain, (0.1, 0.45), (0.9, 0.45), spacing=0.01)
     gap = fm.SurfaceGap(a, line_b, b, line)

@@ -108,6 +108,11 @@ class SurfaceGap:
         gap = self.points.mesh.comm.allreduce(gap, MPI.MIN)
         return gap if gap < _FAR else np.inf
 
+    def __repr__(self) -> str:
+        """Numbers of points."""
+        n, m = self.points.size_global, self._surface.size_global
+        return f"SurfaceGap(of {n} points to a surface of {m} points)"
+
     def _read(self, name: str) -> Array:
         return self._values[name]
 

@@ -28,7 +28,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.rigid import RigidBody
-from fenicsmpm.simulation.contact import Contact
+from fenicsmpm.simulation.contact import Contact, require_apart
 from fenicsmpm.simulation.description import facts_of_bodies
 from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
@@ -109,13 +109,13 @@ class ExplicitMPM(Described):
         reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
         duration: dt as a constant for UFL, such as that of ``updates`` [s].
         seconds: time spent in each stage so far [s].
-        smallest_height: of all cells [m].
 
     Raises:
         TypeError: for a residual that is no form.
         ValueError: for a residual of another rank, with unknowns, or on another space or mesh;
-            points without their fields; options out of range; contacts of what is no body, or that
-            bodies cannot have all at once; no dt for bodies without a law.
+            points without their fields; options out of range; contacts of what is no body, that
+            bodies cannot have all at once, or of bodies that overlap by a cell or more; no dt for
+            bodies without a law.
     """
 
     def __init__(
@@ -176,11 +176,12 @@ class ExplicitMPM(Described):
         self.seconds = Stopwatch()
         self._cfl, self._given_dt, self._warned = cfl, dt, False
         self._longest_dt = self._stable = math.inf
-        self.smallest_height = _smallest_height(V.mesh)
+        self._h = _smallest_height(V.mesh)
         way = OnLattice if self._is_for_kernels() else ByForms
         self.dt = dt or 1.0
         self.duration = fem.Constant(V.mesh, self.dt)
         self._way: OnLattice | ByForms = way(self, self._all_updates(R, updates or {}))
+        require_apart(self.contacts)
         self.dt = self._step_length()
         self._torn_off, self._next_look = TornOff(self.bodies, self.carried), _LOOK
         self._torn_off.look(self.time)
@@ -393,7 +394,7 @@ class ExplicitMPM(Described):
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
         require_points(self.bodies)
         fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
-        return self.smallest_height / fastest if fastest > 0 else math.inf
+        return self._h / fastest if fastest > 0 else math.inf
 
     @property
     def contact_rate(self) -> float:

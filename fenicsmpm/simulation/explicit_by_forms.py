@@ -256,8 +256,6 @@ class ByForms:
             self._forces()
             slips = self._push()
             self._contacts.push(sim.contact_rate, sim.dt)
-            if sim.number == 0:
-                self._contacts.require_apart(sim.smallest_height)
         with clock("grid"):
             self._move_nodes()
         with clock("G2P"):

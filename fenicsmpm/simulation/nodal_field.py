@@ -140,19 +140,6 @@ class ContactsOfFields:
             for contact in contacts:
                 contact.gap = self._space.mesh.comm.allreduce(least, MPI.MIN)
 
-    def require_apart(self, size: float) -> None:
-        """Raise ValueError, on all ranks, for bodies that overlap by more than a cell.
-
-        Args:
-            size: of the smallest cell [m].
-        """
-        for contacts in self._of_pairs.values():
-            if contacts[0].gap < -size:
-                raise ValueError(
-                    f"bodies overlap by {-contacts[0].gap:.6g} m or more, more than a cell "
-                    f"({size:.6g} m): move them apart, or give them no contact"
-                )
-
     def rub(self, fixed: npt.NDArray[np.bool_], dt: float) -> None:
         """Change the velocities of all fields by friction (collective).
 
