@@ -61,8 +61,12 @@ class PointStencil(Protocol):
             ValueError: if the functions do not stand for those of the space.
         """
 
-    def seen_cells(self) -> npt.NDArray[np.int32]:
-        """Local cells, ghosts included, of which some point sees all nodes; ascending."""
+    def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
+        """Local cells, ghosts included, of which some point sees all nodes; ascending.
+
+        Args:
+            which: ``(n_points,)`` mask of the points that count; None for all.
+        """
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Grid functions and their derivatives at the points.

@@ -33,10 +33,13 @@ class ActiveCells:
     Args:
         bodies: point sets on one mesh.
         loads: further sets on it, such as boundary points that carry loads.
+        touching: boundary points of other bodies on it, which may touch these. They count where
+            they are in a cell that has a node with cells of the bodies in common.
 
     Attributes:
         points: all these sets.
         bodies: the first of them, as above.
+        touching: the last of them, as above.
         mesh: the background mesh.
         dx: measure of integrals over the active cells.
         dS: measure of integrals over the facets between two active cells of which one is cut.
@@ -48,13 +51,18 @@ class ActiveCells:
             whose ranks see their neighbours' cells.
     """
 
-    def __init__(self, *bodies: MaterialPoints, loads: Sequence[MaterialPoints] = ()) -> None:
+    def __init__(
+        self,
+        *bodies: MaterialPoints,
+        loads: Sequence[MaterialPoints] = (),
+        touching: Sequence[MaterialPoints] = (),
+    ) -> None:
         """Prepare the topology; cells are found when they are asked for. Collective."""
-        points = (*bodies, *loads)
+        points = (*bodies, *loads, *touching)
         if not bodies or any(p.mesh is not points[0].mesh for p in points):
             raise ValueError("active cells need one or more point sets on the same mesh")
         self.points = points
-        self.bodies, self._loads = bodies, tuple(loads)
+        self.bodies, self._loads, self.touching = bodies, tuple(loads), tuple(touching)
         self.mesh = points[0].mesh
         topology = self.mesh.topology
         dim = topology.dim
@@ -145,6 +153,13 @@ class ActiveCells:
             active.array[around] = 1.0
             for points in self._loads:
                 active.array[stencil_of(points).seen_cells()] = 1.0
+            active.scatter_reverse(la.InsertMode.add)
+        if self.touching:
+            active.array[owned:] = 0.0
+            nodes = nodes_of(self.mesh, np.flatnonzero(filled.array[:owned]))
+            near = np.asarray(nodes[_compat.geometry_dofmap(self.mesh)].any(axis=1))
+            for points in self.touching:
+                active.array[stencil_of(points).seen_cells(near[points.cell])] = 1.0
             active.scatter_reverse(la.InsertMode.add)
         active.scatter_forward()
         filled.scatter_forward()

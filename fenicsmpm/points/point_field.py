@@ -84,9 +84,11 @@ class ComputedField(PointField):
 
     Attributes:
         source: what computes the values, such as a law; None if nobody is to know.
+        inputs: fields from which they are computed, if a time loop has to renew these.
     """
 
     source: Any = None
+    inputs: tuple[PointField, ...] = ()
 
     def __init__(
         self,
