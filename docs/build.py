@@ -37,7 +37,7 @@ MODULE = """{underline}
 {entries}
 """
 ENTRY = ".. auto{kind}:: {module}.{name}\n\n"
-CONSTANT = ".. py:data:: {module}.{name}\n   :value: {value!r}\n\n"
+CONSTANT = ".. py:data:: {name}\n   :value: {value!r}\n\n"
 # Pages of the repository that the site has elsewhere, and what their links become there
 MOVED = {
     "CHANGELOG.md": "reference/changelog.md",
@@ -209,7 +209,7 @@ def entry(module: ModuleType, name: str) -> str:
     """What Sphinx is told of a public name."""
     thing = getattr(module, name)
     if not callable(thing):
-        return CONSTANT.format(module=module.__name__, name=name, value=thing)
+        return CONSTANT.format(name=name, value=thing)
     kind = "function"
     if isinstance(thing, type):
         kind = "exception" if issubclass(thing, BaseException) else "class"
