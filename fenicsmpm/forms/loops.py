@@ -316,7 +316,7 @@ def add_facet_matrices(
 
 @njit
 def mark_rows(indptr, data, result):
-    """Mark the rows of a CSR matrix that have an entry other than zero."""
+    """Mark the rows of a CSR matrix that have a nonzero entry."""
     for row in range(len(result)):
         for k in range(indptr[row], indptr[row + 1]):
             if data[k] != 0.0:
