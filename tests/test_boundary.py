@@ -233,9 +233,9 @@ def test_what_cannot_be():
         fm.follower_pressure(z, points.at(s.domain, (0.5, 0.5)), 1.0)
     with pytest.raises(ValueError, match=r"not \(3,\)"):
         fm.set_normals(edge, (1.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match=r"not the length 1, first 2\.0"):
+    with pytest.raises(ValueError, match=r"not have the length 1, first 2\.0"):
         fm.set_normals(edge, lambda x: 2 * outward(x, 2))
-    with pytest.raises(ValueError, match=r"pressure is a scalar.* \(2,\)"):
+    with pytest.raises(ValueError, match=r"pressure must be a scalar.* \(2,\)"):
         fm.follower_pressure(z, edge, ufl.as_vector((1.0, 0.0)))
     with pytest.raises(ValueError, match="modulus must be positive and finite: -1"):
         fm.penalty_dirichlet(z, edge, -1.0)

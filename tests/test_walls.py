@@ -274,7 +274,7 @@ def test_bad_input():
     ):
         with pytest.raises(ValueError, match=message):
             fm.wall(z, edge, law, floor, **options)
-    with pytest.raises(ValueError, match="a distance is a scalar"):
+    with pytest.raises(ValueError, match="a distance must be a scalar"):
         fm.wall(z, edge, law, lambda x: x)
     with pytest.raises(ValueError, match="without normals"):
         fm.nitsche_dirichlet(z, points.at(domain, (0.5, 0.5)), law)

@@ -230,9 +230,9 @@ def assemble_matrix(
         bcs: Dirichlet conditions.
         diag: diagonal entry of constrained degrees of freedom.
         A: matrix to overwrite, from ``create_matrix``. None for a new one.
-        fill: ``(n_owned_rows,)`` mask of rows that also get a row of the identity if all their
-            entries are zero, such as those of nodes that only an open contact reaches. None for
-            none.
+        fill: mask of rows ``(n_owned_rows,)`` that also get a row of the identity if all their
+            entries are zero, such as rows of nodes that only an open contact reaches. None for no
+            such rows.
 
     Returns:
         The matrix. Its ghost rows have already been sent to their owners.

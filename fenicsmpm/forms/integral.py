@@ -131,7 +131,12 @@ class PointIntegral:
         return self.sites.groups
 
     def active(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
-        """Return local dofs of an argument's space whose functions are not zero at all points."""
+        """Return local dofs of an argument's space whose functions are not zero at all points.
+
+        Args:
+            source: test or trial source.
+            space: its function space.
+        """
         if id(source) not in self._active:
             table = self.sites.table(source)
             dofs = self.dofs(source, space)
@@ -145,7 +150,12 @@ class PointIntegral:
         return self._active[id(source)]
 
     def dofs(self, source: Source, space: Any) -> npt.NDArray[np.int32]:
-        """Return the unrolled dofs ``(n_groups, n_local)`` of a source's space, in slot order."""
+        """Return the unrolled dofs ``(n_groups, n_local)`` of a source's space, in slot order.
+
+        Args:
+            source: argument or function.
+            space: its function space.
+        """
         key = id(source)
         if key not in self._dofs:
             assert source.layout is not None

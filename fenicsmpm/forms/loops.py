@@ -115,10 +115,19 @@ def contract_matrix(
 
 @njit
 def mark_seen(offsets, rows, basis, column, length, start, least, seen):
-    """Mark local dofs ``seen (n_groups, n_local)`` whose functions are not zero at all points.
+    """Mark local dofs whose functions are not zero at all points of a group.
 
-    A function counts as zero at a point if it is smaller than ``least (n_groups,)`` times the
-    largest one.
+    A function counts as zero at a point if it is smaller than ``least`` times the largest one.
+
+    Args:
+        offsets: ranges of the points of each group within ``rows`` ``(n_groups + 1,)``.
+        rows: table row of each point.
+        basis: table ``(n_table, n_columns)``.
+        column: first column of each slot.
+        length: number of grid functions of each slot.
+        start: first local dof of each slot.
+        least: relative limit of each group ``(n_groups,)``.
+        seen: result ``(n_groups, n_local)``.
     """
     for i in range(len(offsets) - 1):
         for k in range(offsets[i], offsets[i + 1]):
@@ -177,7 +186,17 @@ def add_matrices(matrices, dofs0, dofs1, groups, places, indptr, fixed0, fixed1,
 
 @njit
 def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
-    """Subtract the constrained columns times ``values (n_dofs1,)`` from a vector."""
+    """Subtract the constrained columns of element matrices times given values from a vector.
+
+    Args:
+        matrices: element matrices ``(n_groups, n_local0, n_local1)``.
+        dofs0: rows ``(n_all_groups, n_local0)``.
+        dofs1: columns ``(n_all_groups, n_local1)``.
+        groups: groups of the matrices ``(n_groups,)``.
+        fixed1: uint8 marks of constrained columns.
+        values: values of the constrained dofs ``(n_dofs1,)``.
+        result: local vector, changed in place.
+    """
     for i in range(len(groups)):
         for b in range(dofs1.shape[1]):
             j = dofs1[groups[i], b]
@@ -316,7 +335,7 @@ def add_facet_matrices(
 
 @njit
 def mark_rows(indptr, data, result):
-    """Mark the rows of a CSR matrix that have an entry other than zero."""
+    """Mark the rows of a CSR matrix that have a nonzero entry."""
     for row in range(len(result)):
         for k in range(indptr[row], indptr[row + 1]):
             if data[k] != 0.0:
@@ -335,7 +354,13 @@ def add_rows(from_indptr, from_columns, values, indptr, indices, data):
 
 @njit
 def average_groups(table, weights, offsets):
-    """Return the weighted averages of table rows over the points of groups, one row per point."""
+    """Return the weighted averages of table rows over the points of groups, one row per point.
+
+    Args:
+        table: rows of all points ``(n_points, n_columns)``, in group order.
+        weights: weights of the points ``(n_points,)``.
+        offsets: range of points of each group ``(n_groups + 1,)``.
+    """
     result = np.empty_like(table)
     for i in range(len(offsets) - 1):
         mean = np.zeros(table.shape[1])
@@ -353,7 +378,9 @@ def average_groups(table, weights, offsets):
 def equal_rows(indptr, indices):
     """Sort the rows of a sparse pattern so that rows with the same columns are together.
 
-    Columns must be sorted in each row.
+    Args:
+        indptr: start of each row.
+        indices: columns, sorted in each row.
 
     Returns:
         The order of the rows, and the start of each set of equal rows in it.

@@ -144,7 +144,7 @@ def inactive_dofs(a: Form, A: PETSc.Mat) -> npt.NDArray[np.int32]:
 
 
 def unreached_rows(A: PETSc.Mat) -> npt.NDArray[np.int64]:
-    """Return the owned local rows of the identity, which no integral reached, or only zeros.
+    """Return the owned local rows of the identity, which no integral reached except with zeros.
 
     Constrained rows may be among them.
 

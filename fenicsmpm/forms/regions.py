@@ -30,14 +30,26 @@ class Region(Protocol):
         """Value that changes whenever the entities may have changed."""
 
     def entities(self, integral_type: str) -> npt.NDArray[np.int32]:
-        """Return the integration entities of "cell" or "interior_facet" integrals."""
+        """Return the integration entities of "cell" or "interior_facet" integrals.
+
+        Args:
+            integral_type: "cell" or "interior_facet".
+        """
 
     def blocks(self, integral_type: str) -> npt.NDArray[np.int32]:
-        """Return ``(n, 1 or 2)`` local cells whose functions interact in each entity."""
+        """Return ``(n, 1 or 2)`` local cells whose functions interact in each entity.
+
+        Args:
+            integral_type: "cell" or "interior_facet".
+        """
 
 
 def is_region(data: Any) -> bool:
-    """Return whether the data of a measure is a region."""
+    """Return whether the data of a measure is a region.
+
+    Args:
+        data: ``subdomain_data`` of the measure.
+    """
     return hasattr(data, "entities") and hasattr(data, "version")
 
 

@@ -86,7 +86,11 @@ class Sites:
     # --- grid functions ----------------------------------------------------------------------
 
     def table(self, source: Source) -> SlotTable:
-        """Return the slot table of an argument or function."""
+        """Return the slot table of an argument or function.
+
+        Args:
+            source: argument or function.
+        """
         assert source.layout is not None
         has_average = np.any(source.used >= source.layout.n_slots // 2)
         tables = self._averages if has_average else self._tables

@@ -117,6 +117,9 @@ class Layout:
 
         The result is None if the functions are not linear, or if there are averages among the
         slots.
+
+        Args:
+            used: numbers of the used slots ``(n,)``.
         """
         average = bool(np.any(used >= self.n_slots // 2))
         return np.flatnonzero(used % self.n_rows == 0) if self.is_linear and not average else None
@@ -141,12 +144,21 @@ class Layout:
         return (int(average) * self.n_components + component) * self.n_rows + row + index
 
     def component_starts(self, stencil: PointStencil) -> npt.NDArray[np.int64]:
-        """Return the first local dof of each component ``(n_components,)``, in slot order."""
+        """Return the first local dof of each component ``(n_components,)``, in slot order.
+
+        Args:
+            stencil: stencil of the points.
+        """
         lengths = [stencil.n_functions(leaf.element) for leaf in self.component_leaf]
         return np.cumsum([0, *lengths[:-1]])
 
     def unrolled_dofs(self, space: Any, stencil: PointStencil) -> npt.NDArray[np.int32]:
-        """Return unrolled local dofs ``(n_groups, n_local)`` of a dolfinx space, in slot order."""
+        """Return unrolled local dofs ``(n_groups, n_local)`` of a dolfinx space, in slot order.
+
+        Args:
+            space: dolfinx function space.
+            stencil: stencil of the points.
+        """
         bs = space.dofmap.bs
         blocks = stencil.dofs(space)
         dofs = blocks[:, :, None] * bs + np.arange(bs, dtype=np.int32)

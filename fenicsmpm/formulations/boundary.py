@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Loads and constraints on boundary points, which move through the grid with the body.
 
-Boundary points have the areas (lengths in 2D) of the undeformed boundary as weights, and are
-given to the time loop as ``carried`` points.
+The weights of boundary points are the areas (lengths in 2D) of the undeformed boundary. Pass
+boundary points to the time loop as ``carried`` points.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from fenicsmpm.points.point_field import PointField
 
 
 def dead_load(w: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
-    """Traction per initial area that keeps its direction, -(t, w).
+    """Return the load -(t, w) of a traction per initial area with fixed direction.
 
     Args:
-        w: test function of displacement or velocity.
-        points: boundary points with initial areas [m^(d-1)].
+        w: test function of displacement or velocity ``(d,)``.
+        points: boundary points with initial areas as weights [m^(d-1)].
         traction: force per initial area t [Pa], d components or a UFL vector.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: for no points at all, or a traction of another shape.
+        ValueError: if there are no points on any rank, or the traction has a wrong shape.
     """
     require_points(points, "a load")
     return -ufl.inner(_vector(traction, points, "a traction"), w) * points.dx
@@ -48,17 +48,17 @@ def set_normals(
 ) -> None:
     """Set the field "normal" of boundary points, which ``follower_pressure`` needs (collective).
 
-    It is the outer unit normal times the ratio of present to initial area [-]. The points of
-    ``points.on_facets`` and ``points.on_curve`` have normals from the beginning.
+    The field is the outer unit normal times the ratio of current to initial area [-]. Points from
+    ``points.on_facets`` and ``points.on_curve`` already have normals.
 
     Args:
-        points: boundary points at the beginning, when that ratio is 1.
-        normals: outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order; or a function
-            as in dolfinx, of positions ``(3, n)`` [m] to normals ``(d, n)``.
+        points: boundary points in their initial state, where the ratio of areas is 1.
+        normals: outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order, or a function
+            as in dolfinx, from positions ``(3, n)`` [m] to normals ``(d, n)``.
 
     Raises:
-        ValueError: for other shapes or lengths other than 1; also what the function raises on any
-            rank.
+        ValueError: if the shape is wrong, or a length is not 1. An error that the function raises
+            on one rank is raised on all ranks.
     """
     shape = (len(points), points.mesh.geometry.dim)
     error: Exception | None = None
@@ -69,15 +69,15 @@ def set_normals(
     raise_together(points.mesh.comm, error)
     if given.shape not in (shape, shape[1:]):
         error = ValueError(
-            f"normals need the shape {shape} or {shape[1:]}, not {given.shape}: one row a point"
+            f"normals need the shape {shape}, one row per point, or {shape[1:]}, not {given.shape}"
         )
     else:
         length = np.linalg.norm(np.broadcast_to(given, shape), axis=1)
         bad = np.flatnonzero(~(np.abs(length - 1) < 1e-6))
         if len(bad):
             error = ValueError(
-                f"{len(bad)} of {len(points)} normals have not the length 1, first {length[bad[0]]}"
-                f" at {points.x[bad[0]]}: divide them by their lengths"
+                f"{len(bad)} of {len(points)} normals do not have the length 1, first "
+                f"{length[bad[0]]} at {points.x[bad[0]]}: divide them by their lengths"
             )
     raise_together(points.mesh.comm, error)
     if "normal" not in points:
@@ -86,28 +86,31 @@ def set_normals(
 
 
 def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.Form:
-    """Pressure on the surface as it moves, p (cof(f) n, w); a positive one pushes on the body.
+    """Return the load p (cof(f) n, w) of a pressure that follows the surface.
 
-    The surface turns and stretches in the step by Nanson's formula, n da = cof(f) n_0 dA. Its
-    tangent is not symmetric. Time loops renew the normals at the end of a step.
+    A positive pressure pushes on the body. In a step, the surface rotates and stretches by Nanson's
+    formula, n da = cof(f) n_0 dA. The tangent of the load is not symmetric. Time loops update the
+    normals at the end of a step.
 
     Args:
-        z: unknown with the increment of displacement u [m]; of explicit steps, the velocity v.
-        points: boundary points with initial areas [m^(d-1)] and the field "normal"; see
+        z: unknown with the displacement increment u [m], or in explicit steps with the velocity v
+            [m/s].
+        points: boundary points with initial areas as weights [m^(d-1)] and the field "normal"; see
             ``set_normals``.
-        pressure: force per present area [Pa], a number or UFL scalar.
+        pressure: force per current area [Pa], a number or UFL scalar.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: for no points at all, points without normals, or a pressure with components.
+        ValueError: if there are no points on any rank, the points have no normals, or the pressure
+            is not a scalar.
     """
     u, w = motion_of(z, "a pressure that follows")
     require_points(points, "a load")
     pressure = ufl.as_ufl(pressure)
     if pressure.ufl_shape != ():
-        raise ValueError(f"a pressure is a scalar, but has the shape {pressure.ufl_shape}")
+        raise ValueError(f"a pressure must be a scalar, but has the shape {pressure.ufl_shape}")
     return pressure * ufl.inner(_moved_area(u, points), w) * points.dx
 
 
@@ -119,29 +122,31 @@ def penalty_dirichlet(
     *,
     factor: float = 30.0,
 ) -> ufl.Form:
-    """Prescribed displacement of boundary points anywhere in the mesh, by a penalty.
+    """Return a penalty for prescribed displacements of boundary points anywhere in the mesh.
 
-    factor E / h (u_n + u - g, w), with the points' displacement so far u_n and the prescribed one g
-    (B. Chandra et al., Acta Geotechnica 16, 2021: [70] of VMS). Under a traction t the points give
-    way by t h / (factor E): the error is of first order in h.
+    The form is factor E / h (u_n + u - g, w), with the current displacement u_n of the points and
+    the prescribed displacement g (B. Chandra et al., Acta Geotechnica 16, 2021: [70] of VMS). Under
+    a traction t the points give way by t h / (factor E), so the error is of first order in h.
 
     Args:
-        z: unknown with the increment of displacement u [m]; of explicit steps, the velocity v.
-        points: boundary points with initial areas [m^(d-1)]; their field "u" [m] is u_n, and is
-            added as zero if there is none.
-        material: law of the body with E, or a modulus E [Pa].
-        value: prescribed displacement g from the initial position [m], d components or a UFL vector
-            at the end of the motion u (second argument of ``ImplicitMPM``'s ``data``); None for
-            zero.
-        factor: of the penalty [-]: 10 to 100 give a cantilever the deflection of a fitted mesh,
-            more makes cut cells too stiff, as linear functions cannot bend and obey all points.
+        z: unknown with the displacement increment u [m], or in explicit steps with the velocity v
+            [m/s].
+        points: boundary points with initial areas as weights [m^(d-1)]. Their field "u" [m] is u_n.
+            If it is missing, it is added with the value zero.
+        material: law of the body with the attribute E, or a modulus E [Pa].
+        value: prescribed displacement g from the initial position [m], d components or a UFL
+            vector, at the end of the motion u (second argument of ``data`` of ``ImplicitMPM``).
+            None for zero.
+        factor: penalty factor [-]. With values of 10 to 100, a cantilever has the deflection of a
+            fitted mesh. Larger values make cut cells too stiff, since linear functions cannot bend
+            and satisfy the condition at all points.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: for no points at all, a modulus or factor that is not positive and finite, or a
-            displacement of another shape.
+        ValueError: if there are no points on any rank, the modulus or factor is not positive and
+            finite, or the displacement has a wrong shape.
     """
     u, w = motion_of(z, "a Dirichlet condition")
     require_points(points, "a Dirichlet condition")
@@ -159,30 +164,31 @@ def nitsche_dirichlet(
     symmetric: bool = True,
     slip: bool = False,
 ) -> ufl.Form:
-    """Prescribed displacement of boundary points by Nitsche's method, for the mixed formulation.
+    """Return Nitsche's terms for prescribed displacements of boundary points (mixed formulation).
 
-    -(t, w) - (D t[V], u_n + u - g) + 2 factor mu / h (u_n + u - g, w) per initial area, with the
-    traction t = sigma cof(f) n of the body itself and its derivative D t[V] in direction of the
-    test functions. It is consistent: the exact solution fulfils it whatever the factor, which needs
-    to be large enough for stability only (J. Nitsche, 1971; P. Hansbo, GAMM-Mitt. 28, 2005).
+    The form is -(t, w) - (D t[V], u_n + u - g) + 2 factor mu / h (u_n + u - g, w) per initial area.
+    Here t = sigma cof(f) n is the traction of the body itself, and D t[V] its derivative in the
+    direction of the test functions. The method is consistent: the exact solution satisfies it for
+    any factor. The factor must be large enough for stability only (J. Nitsche, 1971; P. Hansbo,
+    GAMM-Mitt. 28, 2005).
 
     Args:
-        z: unknown with the increment of displacement u [m] and the pressure p [Pa].
-        points: boundary points with initial areas [m^(d-1)] and the field "normal", see
-            ``set_normals``; "u" [m] is u_n, "F" the deformation gradient, and both are added where
-            they are missing. Time loops renew them.
-        law: of the body.
-        value: prescribed displacement g from the initial position [m], see ``penalty_dirichlet``.
-        factor: of the penalty [-].
-        symmetric: False for the other sign of the second term, which is stable with any factor.
+        z: unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: boundary points with initial areas as weights [m^(d-1)] and the field "normal"; see
+            ``set_normals``. Their fields "u" [m] (u_n) and "F" (deformation gradient) are added if
+            missing. Time loops update them.
+        law: law of the body.
+        value: prescribed displacement g from the initial position [m]; see ``penalty_dirichlet``.
+        factor: penalty factor [-].
+        symmetric: False for the opposite sign of the second term, which is stable with any factor.
         slip: whether only displacements along the normals are prescribed.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: for no points at all, points without normals, a factor that is not positive and
-            finite, or a displacement of another shape.
+        ValueError: if there are no points on any rank, the points have no normals, the factor is
+            not positive and finite, or the displacement has a wrong shape.
     """
     z.require("u", "p", of="Nitsche's method")
     require_points(points, "a Dirichlet condition")
@@ -206,11 +212,14 @@ def nitsche_dirichlet(
 
 
 def modulus_of(material: Any, factor: float) -> float:
-    """Young's modulus of a law, or a modulus itself [Pa]; ValueError if the penalty has no sense.
+    """Return the Young's modulus [Pa] of a law, or a given modulus.
 
     Args:
-        material: law with E, or a modulus [Pa].
-        factor: of the penalty [-].
+        material: law with the attribute E, or a modulus [Pa].
+        factor: penalty factor [-].
+
+    Raises:
+        ValueError: if modulus or factor is not positive and finite.
     """
     modulus = getattr(material, "E", material)
     for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
@@ -220,11 +229,16 @@ def modulus_of(material: Any, factor: float) -> float:
 
 
 def motion_of(z: Unknown, what: str) -> tuple[Any, Any]:
-    """Displacement in the step until forces are taken [m], zero in explicit ones; test function.
+    """Return the displacement [m] until forces are evaluated, and its test function.
+
+    In explicit steps, forces are evaluated at the start, so the displacement is zero.
 
     Args:
-        z: unknown with a displacement u, or of explicit steps with a velocity v.
-        what: needs one of them.
+        z: unknown with a displacement u, or in explicit steps with a velocity v.
+        what: name of the feature that needs one of them, for the message.
+
+    Raises:
+        ValueError: if the unknown has neither.
     """
     if "v" in z and z.moving is None:
         return ufl.zero(z.mesh.geometry.dim), z.test.v
@@ -233,7 +247,7 @@ def motion_of(z: Unknown, what: str) -> tuple[Any, Any]:
 
 
 def _gap(u: Any, points: MaterialPoints, value: Any) -> Any:
-    """Displacement after a motion u less a prescribed one [m]."""
+    """Return the displacement after a motion u minus a prescribed one [m]."""
     if "u" not in points:
         points.add_field("u", (points.mesh.geometry.dim,))
     gap = points.field("u") + u
@@ -241,13 +255,13 @@ def _gap(u: Any, points: MaterialPoints, value: Any) -> Any:
 
 
 def carried_normal(points: MaterialPoints) -> PointField:
-    """Field "normal" of boundary points, see ``set_normals``; loops renew it by Nanson's formula.
+    """Return the field "normal" of boundary points, which loops update by Nanson's formula.
 
     Args:
-        points: boundary points.
+        points: boundary points; see ``set_normals``.
 
     Raises:
-        ValueError: for points without normals.
+        ValueError: if the points have no normals.
     """
     if "normal" not in points:
         raise ValueError("boundary points without normals: call set_normals(points, normals) first")
@@ -256,23 +270,26 @@ def carried_normal(points: MaterialPoints) -> PointField:
 
 
 def _moved_area(u: Any, points: MaterialPoints) -> Any:
-    """Outer normal after a motion u times the ratio of areas, by Nanson's formula [-]."""
+    """Return the normal after a motion u times the ratio of areas [-], by Nanson's formula."""
     return ufl.dot(Kinematics(u, points).cofactor(), carried_normal(points))
 
 
 def require_points(points: MaterialPoints, what: str) -> None:
-    """Raise ValueError for sets without points on any rank.
+    """Raise ValueError if there are no points on any rank.
 
     Args:
         points: boundary points.
-        what: needs them.
+        what: name of the feature that needs them, for the message.
+
+    Raises:
+        ValueError: if the set is empty.
     """
     if points.size_global == 0:
         raise ValueError(f"{what} on no points: check where these boundary points were seeded")
 
 
 def _vector(value: Any, points: MaterialPoints, what: str) -> Any:
-    """UFL vector with as many components as the mesh has dimensions."""
+    """Return a UFL vector with as many components as the mesh has dimensions."""
     vector = ufl.as_vector(list(value)) if isinstance(value, Sequence | np.ndarray) else value
     vector, dim = ufl.as_ufl(vector), points.mesh.geometry.dim
     if vector.ufl_shape != (dim,):

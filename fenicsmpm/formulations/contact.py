@@ -16,7 +16,7 @@ from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import MaterialPoints
 
-# Fields with springs of friction, one for each surface that points rub on
+# Prefix of the fields with friction springs, one for each surface that the points may touch
 SLIP = "slip on surface"
 
 
@@ -30,26 +30,26 @@ def contact(
     factor: float = 5.0,
     friction: float = 0.0,
 ) -> ufl.Form:
-    """Contact of two bodies that touch, slide along each other and part, -(t, w - w_other).
+    """Return the contact forces -(t, w - w_other) of two bodies that touch, slide and separate.
 
-    The traction t is that of ``contact_traction``, and acts on both bodies at the points of the
-    first one, so their momentum stays. One call is enough for two bodies. Its first body should be
-    the one whose surface is smaller or more curved.
+    The traction t is that of ``contact_traction``. It acts on both bodies at the points of the
+    first one, so the total momentum is conserved. Call the function once for two bodies. The first
+    body should be the one with the smaller or more curved surface.
 
     Args:
-        z: unknown of the first body, with the increment of displacement u [m].
-        points: boundary points of this body, see ``SurfaceGap``.
+        z: unknown of the first body, with the displacement increment u [m].
+        points: boundary points of the first body; see ``SurfaceGap``.
         other: unknown of the second body, coupled to the first one by ``coupled_unknowns``.
-        surface: boundary points of the second body with outer normals, see ``SurfaceGap``.
-        material: law of the softer body with E, or a modulus E [Pa].
-        factor: of the penalty [-].
-        friction: Coulomb's coefficient [-].
+        surface: boundary points of the second body with outer normals; see ``SurfaceGap``.
+        material: law of the softer body with the attribute E, or a modulus E [Pa].
+        factor: penalty factor [-].
+        friction: coefficient of Coulomb friction [-].
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: as ``SurfaceGap`` and ``contact_traction``.
+        ValueError: for the reasons of ``SurfaceGap`` and ``contact_traction``.
     """
     gap = SurfaceGap(z, points, other, surface)
     traction = contact_traction(gap, material, factor=factor, friction=friction)
@@ -63,22 +63,23 @@ def contact_traction(
     factor: float = 5.0,
     friction: float = 0.0,
 ) -> Any:
-    """Traction on the first body per initial area, k (<-g> n - s), UFL ``(d,)`` [Pa].
+    """Return the traction k (<-g> n - s) on the first body per initial area ``(d,)`` [Pa], UFL.
 
-    The penalty k = factor E / h presses where there is an overlap, and never pulls. With friction,
-    points drag a spring s along the other surface, of the same stiffness: they stick up to
-    ``friction`` times the pressure, and slip beyond, see ``wall``.
+    The penalty k = factor E / h presses where the bodies overlap, and never pulls. With friction,
+    points drag a spring s of the same stiffness along the other surface. They stick up to
+    ``friction`` times the pressure, and slide beyond that; see ``wall``.
 
     Args:
-        gap: between the bodies.
-        material: see ``contact``.
-        factor: of the penalty [-].
-        friction: Coulomb's coefficient [-]. Then the points get a field "slip on surface i" [m],
-            s, which time loops renew, for schemes whose equations hold at the end of a step.
+        gap: gap between the bodies.
+        material: law of the softer body with the attribute E, or a modulus E [Pa].
+        factor: penalty factor [-].
+        friction: coefficient of Coulomb friction [-]. If it is positive, a field "slip on surface
+            i" [m] for s is added to the points. Time loops update it for schemes whose equations
+            hold at the end of a step.
 
     Raises:
-        ValueError: for a modulus or factor that is not positive and finite, and a coefficient of
-            friction that is negative or not finite.
+        ValueError: if the modulus or factor is not positive and finite, or the friction is negative
+            or not finite.
     """
     points = gap.points
     stiffness = factor * modulus_of(material, factor) / element_size(points)

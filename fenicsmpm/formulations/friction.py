@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Coulomb's friction that is elastic up to its limit, in UFL."""
+"""Coulomb friction that is elastic up to its limit, in UFL."""
 
 from __future__ import annotations
 
@@ -11,28 +11,34 @@ import ufl
 from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.points.point_field import PointField
 
-_SMALL = 1e-12  # of a cell: a length that is never zero has a derivative
+_SMALL = 1e-12  # share of the cell size that is added to lengths, so that they have a derivative
 
 
 def checked_friction(friction: float) -> float:
-    """A coefficient of friction; ValueError if it is negative or not finite.
+    """Return a coefficient of friction if it is finite and not negative.
 
     Args:
-        friction: Coulomb's coefficient [-].
+        friction: coefficient of Coulomb friction [-].
+
+    Raises:
+        ValueError: if it is negative or not finite.
     """
     if not 0 <= friction < np.inf:
-        raise ValueError(f"a coefficient of friction is finite and not negative: {friction}")
+        raise ValueError(f"a coefficient of friction must be finite and not negative: {friction}")
     return float(friction)
 
 
 def elastic_slip(spring: PointField, way: Any, normal: Any, limit: Any) -> Any:
-    """Spring that a point drags along a surface (P. Wriggers, 2006, section 5.2), UFL ``(d,)`` [m].
+    """Return the spring that a point drags along a surface ``(d,)`` [m], UFL.
+
+    See P. Wriggers, Computational Contact Mechanics, 2006, section 5.2.
 
     Args:
-        spring: what it was before the step [m].
-        way: of the point along the surface in the step ``(d,)`` [m]; its normal part is left out.
-        normal: of the surface ``(d,)`` [-].
-        limit: length up to which friction lets it grow [m].
+        spring: spring before the step ``(d,)`` [m].
+        way: relative displacement of the point in the step ``(d,)`` [m]; its normal part is
+            ignored.
+        normal: normal of the surface ``(d,)`` [-].
+        limit: largest length of the spring that friction allows [m].
     """
     trial = spring + way
     trial -= ufl.dot(trial, normal) * normal

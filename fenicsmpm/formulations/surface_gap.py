@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gaps between the surfaces of two bodies that move through the same grid, as UFL."""
+"""Gaps between the surfaces of two bodies that move through the same grid, in UFL."""
 
 from __future__ import annotations
 
@@ -20,55 +20,57 @@ from fenicsmpm.points.point_field import ComputedField
 
 Array = npt.NDArray[np.float64]
 
-# Gap of points that are over no part of the other surface [m]
+# Gap of points that do not face the other surface [m]
 _FAR = 1e100
 
 
 class SurfaceGap:
-    """Gap between boundary points of a body and the surface of another one, after a motion.
+    """Gap between boundary points of a body and the surface of another body, after a motion.
 
-    At the beginning of a step, the gap g_n of a point is its distance from the plane through the
+    At the start of a step, the gap g_n of a point is its distance from the tangent plane at the
     nearest point of the other surface, along the normal n there. Both displacements are functions
-    on the same grid, so the gap at the end is plain UFL, g_n + (u - u_other) . n, both taken where
-    the point is. Where surfaces touch, that is exact but for what they slide in the step: their
-    normals stay, and the error is the square of this way by twice the radius of curvature.
+    on the same grid, so the gap at the end of the step is g_n + (u - u_other) . n in UFL, with both
+    displacements at the position of the point. For surfaces in contact, the only error is due to
+    sliding in the step, because normals are fixed. It is the square of the sliding distance over
+    twice the radius of curvature.
 
-    A point that is beside the other surface, by more than the spacing of its points, has no gap.
+    A point that lies beside the other surface by more than the spacing of its points has no gap.
 
     Args:
-        z: unknown of the first body, with the increment of displacement u [m].
-        points: boundary points of this body with initial areas [m^(d-1)].
+        z: unknown of the first body, with the displacement increment u [m].
+        points: boundary points of the first body with initial areas as weights [m^(d-1)].
         other: unknown of the second body, coupled to the first one.
-        surface: boundary points of the second body with initial areas [m^(d-1)] and outer normals,
-            some times closer than cells. Time loops renew the normals, and need both sets of points
-            among those that they carry.
+        surface: boundary points of the second body with initial areas as weights [m^(d-1)] and
+            outer normals. Their spacing should be several times smaller than the cells. Time loops
+            update the normals. Both point sets must be among the ``carried`` points.
 
     Attributes:
-        points: as above.
-        normal: n, of the second body's surface, UFL ``(d,)``.
-        way: in the step, of the first body relative to the second one, UFL ``(d,)`` [m].
-        gap: after the motion [m], UFL; negative where bodies overlap.
-        test: difference of the test functions, UFL ``(d,)``.
+        points: boundary points of the first body.
+        normal: normal n of the surface of the second body ``(d,)`` [-], UFL.
+        way: displacement of the first body relative to the second one in the step ``(d,)`` [m],
+            UFL.
+        gap: gap after the motion [m], UFL, negative where the bodies overlap.
+        test: difference of the test functions ``(d,)``, UFL.
 
     Raises:
-        ValueError: for unknowns that are one or are not coupled, sets that are one or empty, a
-            surface without normals or with some of no length, and bodies that overlap by more than
-            a cell.
+        ValueError: if the unknowns are the same or not coupled, the point sets are the same or
+            empty, the surface has no normals or normals of length zero, or the bodies overlap by
+            more than a cell.
     """
 
     def __init__(
         self, z: Unknown, points: MaterialPoints, other: Unknown, surface: MaterialPoints
     ) -> None:
-        """Find the gaps of the points where they are now (collective)."""
+        """Compute the gaps of the points at their current positions (collective)."""
         if z is other or points is surface:
             raise ValueError(
-                "a contact of a body with itself: give two bodies, each with its own unknown of "
+                "a contact of a body with itself: give two bodies, each with its own unknown from "
                 "coupled_unknowns(..) and its own boundary points"
             )
         if z.U is not other.U:
             raise ValueError(
-                "a contact needs one unknown for each body, which are solved for together: make "
-                "them by coupled_unknowns(..)"
+                "a contact needs coupled unknowns, one for each body: create them with "
+                "coupled_unknowns(..)"
             )
         for unknown in (z, other):
             unknown.require("u", of="a contact")
@@ -82,8 +84,8 @@ class SurfaceGap:
         error = None
         if len(bad):
             error = ValueError(
-                f"{len(bad)} of {len(surface)} normals of a surface have no length, first at "
-                f"{surface.x[bad[0]]}: give outer unit normals by set_normals(points, normals)"
+                f"{len(bad)} of {len(surface)} normals of a surface are zero or not finite, first "
+                f"at {surface.x[bad[0]]}: give outer unit normals by set_normals(points, normals)"
             )
         raise_together(points.mesh.comm, error)
         self._values: dict[str, Array] = {}
@@ -102,7 +104,10 @@ class SurfaceGap:
         self._require_no_overlap()
 
     def least(self) -> float:
-        """Smallest gap where the points are now [m]; infinite if there is none (collective)."""
+        """Return the smallest gap at the current positions [m] (collective).
+
+        The result is infinite if no point has a gap.
+        """
         self._update()
         gap = float(self._values["gap"].min(initial=_FAR))
         gap = self.points.mesh.comm.allreduce(gap, MPI.MIN)
@@ -117,7 +122,7 @@ class SurfaceGap:
         return self._values[name]
 
     def _update(self) -> None:
-        """Gaps and normals at the beginning of a step (collective)."""
+        """Compute gaps and normals at the start of a step (collective)."""
         comm, points = self.points.mesh.comm, self.points
         versions = points.version, self._surface.version
         if not comm.allreduce(versions != self._known, MPI.LOR):
@@ -135,9 +140,10 @@ class SurfaceGap:
         self._values = {"gap": gap, "normal": normals}
 
     def _surface_near(self, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
-        """Points of the other surface on all ranks, normals and spacings, near a box (collective).
+        """Return positions, normals and spacings of the other surface near a box (collective).
 
-        What is farther than the size of the box is nearest to none that may touch.
+        The points of all ranks are returned. Points farther away than the size of the box cannot be
+        nearest to a point in contact.
         """
         surface, dim = self._surface, self.points.mesh.geometry.dim
         margin = np.linalg.norm(upper - lower)
@@ -149,7 +155,8 @@ class SurfaceGap:
             [surface.id[near], surface.x[near], normal / length[:, None], spacing]
         )
         everywhere = np.concatenate(surface.mesh.comm.allgather(here))
-        # in the same order on any number of ranks, so that the nearest of two at a distance is, too
+        # The order does not depend on the number of ranks, so neither does the choice between two
+        # points at the same distance.
         everywhere = everywhere[np.argsort(everywhere[:, 0])]
         x, normal, spacing = np.split(everywhere[:, 1:], [dim, 2 * dim], axis=1)
         return x, normal, spacing[:, 0]

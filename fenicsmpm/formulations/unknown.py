@@ -116,7 +116,7 @@ class Unknown(Described):
     def _take(
         self, U: fem.Function, V: ufl.Argument, parts: Sequence[Part], first: int = 0
     ) -> None:
-        """Use the parts of a function from the first one on (collective)."""
+        """Set the parts to those of a function, from part ``first`` on (collective)."""
         self.parts = tuple(parts)
         self.U, self.V, self.space, self.mesh = U, V, U.function_space, U.function_space.mesh
         names = [part.name for part in self.parts]
@@ -311,22 +311,23 @@ class Unknown(Described):
 def coupled_unknowns(
     mesh: Any, *parts: Sequence[str | Part], degree: int = 1
 ) -> tuple[Unknown, ...]:
-    """One unknown for each of several bodies on one mesh, which are solved for together.
+    """Return one unknown for each of several bodies on one mesh, solved for together (collective).
 
-    So bodies that see the same nodes move independently, but for what is between them, such as
-    ``contact``. Each has its own parts, test functions and conditions; U, V and the space are those
-    of all together.
+    Bodies that share nodes then move independently, except for interactions such as ``contact``.
+    Each unknown has its own parts, test functions and conditions. U, V and the space are those of
+    all unknowns together.
 
     Args:
         mesh: background mesh.
-        parts: of each unknown, names or ``Part``s, such as ``("u", "p"), ("u",)``.
-        degree: of the Lagrange functions of parts given by their names.
+        parts: parts of each unknown, as names or ``Part`` objects, such as ``("u", "p"), ("u",)``.
+        degree: degree of the Lagrange functions of parts given by name.
 
     Returns:
         The unknowns, in the same order.
 
     Raises:
-        ValueError: for less than two, a name instead of a sequence of parts, and as ``Unknown``.
+        ValueError: if there are fewer than two unknowns, a name is given instead of a sequence of
+            parts, or for the reasons of ``Unknown``.
     """
     if len(parts) < 2 or any(isinstance(own, str) for own in parts):
         raise ValueError(
@@ -509,7 +510,7 @@ def _by_name(name: str, degree: int) -> Part:
 
 
 def _with_roles(parts: Sequence[str | Part], degree: int) -> tuple[Part, ...]:
-    """Parts whose names can be those of one unknown."""
+    """Return the parts of one unknown, after a check of their names."""
     result = tuple(_by_name(part, degree) if isinstance(part, str) else part for part in parts)
     names = [part.name for part in result]
     if not names:
@@ -522,8 +523,8 @@ def _with_roles(parts: Sequence[str | Part], degree: int) -> tuple[Part, ...]:
     if len(moving) > 1:
         raise ValueError(
             f"the parts {' and '.join(moving)} would both move the points, but only one can: give "
-            'the others role="history" or "grid". Bodies that move independently have unknowns of '
-            "their own: coupled_unknowns"
+            'the others role="history" or "grid", or use coupled_unknowns for bodies that move '
+            "independently"
         )
     return result
 
@@ -533,7 +534,7 @@ def _is_mixed(space: fem.FunctionSpace) -> bool:
 
 
 def _check_shapes(U: fem.Function, parts: Sequence[Part]) -> None:
-    """Raise ValueError for a function with other parts."""
+    """Raise ValueError if a function has other parts."""
     dim = U.function_space.mesh.geometry.dim
     split = ufl.split(U) if _is_mixed(U.function_space) else (U,)
     shapes = [part.ufl_shape for part in split]
@@ -550,7 +551,7 @@ def _described(parts: Sequence[Part]) -> str:
 
 
 def _function_of(mesh: Any, parts: Sequence[Part]) -> fem.Function:
-    """A new function of parts on a mesh (collective)."""
+    """Return a new function with given parts on a mesh (collective)."""
     name = "_".join(part.name for part in parts)
     return fem.Function(fem.functionspace(mesh, _element(mesh, parts)), name=name)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rigid walls that boundary points touch, slide along and leave, anywhere in the mesh."""
+"""Rigid walls anywhere in the mesh, which boundary points can touch, slide along and leave."""
 
 from __future__ import annotations
 
@@ -28,40 +28,42 @@ def wall(
     friction: float | None = None,
     two_sided: bool = False,
 ) -> ufl.Form:
-    """Contact of boundary points with a rigid wall, by a penalty on how deep they are in it.
+    """Return contact forces of a rigid wall on boundary points, with a penalty on penetration.
 
-    With the signed distance d of a point at the end of the motion u and its gradient n, the wall
-    presses with p_n = k <-d> along n, k = factor E / h. Coulomb's friction is elastic up to its
-    limit, so that it sticks: the point drags a spring of stiffness k along the wall, whose force
-    ``k |s|`` is at most ``friction`` times p_n (P. Wriggers, Computational Contact Mechanics, 2006,
-    section 5.2). Points that stick give way by at most ``friction`` p_n / k.
+    Let d be the signed distance of a point at the end of the motion u, and n its gradient. The
+    pressure of the wall is p_n = k <-d> along n, with k = factor E / h. Coulomb friction is elastic
+    up to its limit, so that points can stick: a point drags a spring of stiffness k along the wall,
+    whose force ``k |s|`` is at most ``friction`` times p_n (P. Wriggers, Computational Contact
+    Mechanics, 2006, section 5.2). Points that stick give way by at most ``friction`` p_n / k.
 
-    In explicit steps forces are those at the beginning of a step. Waves between a point and the
-    wall limit it to some h / (c sqrt(factor)), with the speed c of waves in the body.
+    In explicit steps, the forces are those at the start of a step. Waves between a point and the
+    wall limit the step to about h / (c sqrt(factor)), with the wave speed c of the body.
 
     Args:
-        z: unknown with the increment of displacement u [m]; of explicit steps, the velocity v.
-        points: boundary points with initial areas [m^(d-1)]; with friction they get a field "slip"
-            [m], the elastic part s of their way along the wall. Time loops renew it, for schemes
-            whose equations hold at the end or at the beginning of a step.
-        material: law of the body with E, or a modulus E [Pa].
-        distance: from the position of a point, a UFL vector [m], to its distance from the wall, a
-            UFL scalar [m], positive outside. A ``fem.Constant`` in it moves the wall. Or a rigid
-            body, fixed or with a prescribed motion; ``ImplicitMPM`` moves it, and points stick to
-            what moves. Its reach and stiffness do not matter. Explicit steps take rigid bodies by
-            themselves.
-        factor: of the penalty [-].
-        friction: Coulomb's coefficient [-]; None for that of the rigid body, or none.
-        two_sided: whether the wall holds points on both sides: they slide along it.
+        z: unknown with the displacement increment u [m], or in explicit steps with the velocity v
+            [m/s].
+        points: boundary points with initial areas as weights [m^(d-1)]. With friction, a field
+            "slip" [m] is added, the elastic part s of the displacement along the wall. Time loops
+            update it for schemes whose equations hold at the end or at the start of a step.
+        material: law of the body with the attribute E, or a modulus E [Pa].
+        distance: function from the position of a point, a UFL vector [m], to its distance from the
+            wall, a UFL scalar [m], positive outside. A ``fem.Constant`` in it moves the wall.
+            Alternatively a rigid body, fixed or with prescribed motion. ``ImplicitMPM`` moves it,
+            and sticking points follow it. Its reach and stiffness are not used. Pass rigid bodies
+            directly to explicit loops.
+        factor: penalty factor [-].
+        friction: coefficient of Coulomb friction [-]. None for that of the rigid body, or 0 for a
+            distance function.
+        two_sided: whether the wall holds points from both sides, so that they slide along it.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: for no points at all, a modulus or factor that is not positive and finite, a
-            coefficient of friction that is negative, friction at a two-sided wall, whose pressure
-            has no sign, a distance that is no scalar, or a rigid body that is free, or in explicit
-            steps.
+        ValueError: if there are no points on any rank, the modulus or factor is not positive and
+            finite, the friction is negative or not finite, the distance is not a scalar, or a rigid
+            body is free or used in explicit steps. Also for friction at a two-sided wall, whose
+            pressure has no sign.
     """
     u, w = motion_of(z, "a wall")
     require_points(points, "a wall")
@@ -81,7 +83,10 @@ def wall(
 
     friction = checked_friction(0.0 if friction is None else friction)
     if friction > 0 and two_sided:
-        raise ValueError("friction needs a pressure: a wall that also pulls has none")
+        raise ValueError(
+            "friction needs a pressure, but a two-sided wall also pulls: give two_sided=False or "
+            "no friction"
+        )
     now = gap(u)
     depth, normal = _depth(points, u, now, two_sided)
     give_way = depth * normal
@@ -100,24 +105,25 @@ def wall(
 
 
 def _require_prescribed(z: Unknown, rigid: RigidBody) -> None:
-    """Raise ValueError for a rigid body that a form cannot move."""
+    """Raise ValueError if a form cannot move a rigid body."""
     if z.moving is None:
         raise ValueError(
-            f"explicit steps take the rigid body {rigid.name} by ExplicitMPM(.., rigid=[..])"
+            f"explicit steps do not support the rigid body {rigid.name} in forms: pass it to "
+            "ExplicitMPM(.., rigid=[..])"
         )
     if rigid.is_free:
         raise ValueError(
-            f"the rigid body {rigid.name} is free: implicit steps take fixed bodies and prescribed "
-            "motions, explicit ones move free bodies"
+            f"the rigid body {rigid.name} is free: implicit steps support fixed bodies and "
+            "prescribed motions only. Use explicit steps, or leave out the inertia"
         )
 
 
 def _depth(
     points: MaterialPoints, u: Any, distance: Callable[[Any], Any], two_sided: bool
 ) -> tuple[Any, Any]:
-    """How deep points are in the wall after a motion u [m], and its normal there."""
+    """Return the penetration of points after a motion u [m], and the normal of the wall there."""
     place = ufl.variable(ufl.SpatialCoordinate(points.mesh) + u)
     d = ufl.as_ufl(distance(place))
     if d.ufl_shape != ():
-        raise ValueError(f"a distance is a scalar, but has the shape {d.ufl_shape}")
+        raise ValueError(f"a distance must be a scalar, but has the shape {d.ufl_shape}")
     return -d if two_sided else ufl.conditional(d < 0, -d, 0.0), ufl.diff(d, place)

@@ -21,7 +21,13 @@ _STEP = 6e-6
 
 @compiled
 def first_piola_kirchhoff(F, sigma, P):  # type: ignore[no-untyped-def]
-    """Set P = sigma cof F, all ``(3, 3)``."""
+    """Set the first Piola-Kirchhoff stress P = sigma cof F.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+        sigma: Cauchy stress ``(3, 3)`` [Pa].
+        P: result ``(3, 3)`` [Pa].
+    """
     for j in range(3):
         a, b = (j + 1) % 3, (j + 2) % 3
         for k in range(3):

@@ -24,13 +24,21 @@ from fenicsmpm.materials.tensors import (
 
 @compiled
 def deviatoric_strain(b):  # type: ignore[no-untyped-def]
-    """Return the deviatoric logarithmic strain 1/2 dev(ln b), symmetric, for b - I."""
+    """Return the deviatoric logarithmic strain 1/2 dev(ln b), a symmetric tensor.
+
+    Args:
+        b: symmetric tensor b - I, as in ``tensors``.
+    """
     return _half(deviator(logarithm(b)))
 
 
 @compiled
 def small_deviatoric_strain(b):  # type: ignore[no-untyped-def]
-    """Return ``deviatoric_strain`` without a branch, for |b - I| < SMALL."""
+    """Return ``deviatoric_strain`` for ``|b - I| < SMALL``, without a branch.
+
+    Args:
+        b: symmetric tensor b - I, as in ``tensors``.
+    """
     return _half(deviator(small_logarithm(b)))
 
 
@@ -41,7 +49,12 @@ def _half(A):  # type: ignore[no-untyped-def]
 
 @compiled
 def are_small(change, b):  # type: ignore[no-untyped-def]
-    """Return whether J - 1 and b - I are small enough for series at all eight points."""
+    """Return whether J - 1 and b - I are small enough for series at all eight points.
+
+    Args:
+        change: J - 1.
+        b: symmetric tensor b - I, as in ``tensors``.
+    """
     return between(change, -SMALL, SMALL) and between(norm_squared(b), 0.0, SMALL**2)
 
 
@@ -50,6 +63,9 @@ def principal_deviatoric_strain(b):  # type: ignore[no-untyped-def]
     """Return the principal values of ``deviatoric_strain`` [-], and the principal directions.
 
     The directions are the columns of a tuple of 9.
+
+    Args:
+        b: symmetric tensor b - I, as in ``tensors``.
     """
     change, n = eigen(b)
     e1 = 0.5 * log_of_one_plus(change[0])
@@ -61,7 +77,15 @@ def principal_deviatoric_strain(b):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_cauchy_stress(sigma, mean, two_mu, e, jacobian):  # type: ignore[no-untyped-def]
-    """Set sigma to (mean I + 2 mu e) / J, where e is a deviatoric strain."""
+    """Set sigma to (mean I + 2 mu e) / J.
+
+    Args:
+        sigma: result ``(3, 3)`` [Pa].
+        mean: mean Kirchhoff stress [Pa].
+        two_mu: 2 mu [Pa].
+        e: deviatoric strain, a symmetric tensor [-].
+        jacobian: J [-].
+    """
     r = 1 / jacobian
     s = r * two_mu
     sigma[0, 0] = s * e[0] + r * mean
@@ -74,7 +98,14 @@ def set_cauchy_stress(sigma, mean, two_mu, e, jacobian):  # type: ignore[no-unty
 
 @compiled
 def stored_energy(mu, kappa, log_j, e):  # type: ignore[no-untyped-def]
-    """Return kappa/2 (ln J)^2 + mu e : e per initial volume, where e is a deviatoric strain."""
+    """Return the energy kappa/2 (ln J)^2 + mu e : e per initial volume [J/m^3].
+
+    Args:
+        mu: shear modulus [Pa].
+        kappa: bulk modulus [Pa].
+        log_j: ln J [-].
+        e: deviatoric strain, a symmetric tensor [-].
+    """
     return 0.5 * kappa * log_j**2 + mu * norm_squared(e)
 
 

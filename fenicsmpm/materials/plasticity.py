@@ -57,7 +57,13 @@ def _decay(eps_p, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def yield_stress(eps_p, decay, parameters):  # type: ignore[no-untyped-def]
-    """Return sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative [Pa]."""
+    """Return sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative [Pa].
+
+    Args:
+        eps_p: accumulated plastic strain [-].
+        decay: exp(-eta eps_p) [-].
+        parameters: parameters of the law.
+    """
     sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
     excess = (sigma_y - sigma_r) * decay
     return sigma_r + excess + H * eps_p, H - eta * excess

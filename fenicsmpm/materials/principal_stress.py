@@ -28,7 +28,12 @@ from fenicsmpm.materials.tensors import (
 
 @compiled
 def elastic_deformation(F, state):  # type: ignore[no-untyped-def]
-    """Return b_e - I with b_e = F C_p^-1 F^T, a symmetric tensor."""
+    """Return b_e - I with b_e = F C_p^-1 F^T, a symmetric tensor.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+        state: state of the point, which starts with C_p^-1.
+    """
     b = metric_change(F)
     # plus F (C_p^-1 - I) F^T
     p = congruence(
@@ -39,7 +44,11 @@ def elastic_deformation(F, state):  # type: ignore[no-untyped-def]
 
 @compiled
 def principal_strains(b):  # type: ignore[no-untyped-def]
-    """Return the logarithmic strains for b - I, largest first, and the directions in columns."""
+    """Return the logarithmic strains, largest first, and the directions in columns.
+
+    Args:
+        b: symmetric tensor b - I, as in ``tensors``.
+    """
     w, n = eigen(b)
     x, y, z = w
     i, j, k = 0, 1, 2
@@ -60,7 +69,14 @@ def principal_strains(b):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
-    """Set sigma to tau / J, given principal values and directions; NaN unless J is positive."""
+    """Set sigma to tau / J; NaN unless J is positive.
+
+    Args:
+        sigma: result ``(3, 3)`` [Pa].
+        tau: principal Kirchhoff stresses [Pa].
+        n: tuple of 9 with the principal directions in its columns.
+        jacobian: J [-].
+    """
     r = 1 / jacobian if jacobian > 0 else math.nan
     s = compose((r * tau[0], r * tau[1], r * tau[2]), n)
     sigma[0, 0], sigma[1, 1], sigma[2, 2] = s[0], s[1], s[2]
@@ -71,7 +87,14 @@ def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def]
-    """Set C_p^-1 = F^-1 b_e F^-T in the state, given principal elastic strains."""
+    """Set C_p^-1 = F^-1 b_e F^-T in the state.
+
+    Args:
+        F: deformation gradient ``(3, 3)`` [-].
+        strain: principal elastic strains [-].
+        n: tuple of 9 with the principal directions in its columns.
+        state: state of the point, which starts with C_p^-1.
+    """
     b = compose((math.exp(2 * strain[0]), math.exp(2 * strain[1]), math.exp(2 * strain[2])), n)
     c = congruence(inverse(rows(F)), b)
     state[0], state[4], state[8] = c[0], c[1], c[2]
@@ -82,7 +105,12 @@ def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def
 
 @compiled
 def transposed_times(A, b):  # type: ignore[no-untyped-def]
-    """Return A^T b for a tuple of 9, by rows."""
+    """Return A^T b.
+
+    Args:
+        A: tuple of 9, by rows.
+        b: tuple of 3.
+    """
     return (
         A[0] * b[0] + A[3] * b[1] + A[6] * b[2],
         A[1] * b[0] + A[4] * b[1] + A[7] * b[2],

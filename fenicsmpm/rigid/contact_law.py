@@ -86,9 +86,15 @@ class Contact(NamedTuple):
 
 @inline
 def gap(x, first, i, body, y, normal):
-    """Return the distance of a point from a body, and set the direction away from it.
+    """Return the distance of a point from a body [m], and set the direction away from it.
 
-    Also set ``y``, the position of the point in the frame of the body.
+    Args:
+        x: positions of points [m], by component and point.
+        first: row of the first component.
+        i: column of the point.
+        body: the ``Contact``.
+        y: position of the point in the frame of the body ``(d,)`` [m], overwritten.
+        normal: direction in the frame of the body ``(d,)`` [-], overwritten.
     """
     for k in range(len(y)):
         y[k] = body.origin[k]
@@ -99,7 +105,13 @@ def gap(x, first, i, body, y, normal):
 
 @inline
 def turn(body, vector, work):
-    """Rotate a vector from the frame of the body into space."""
+    """Rotate a vector from the frame of the body into space.
+
+    Args:
+        body: the ``Contact``.
+        vector: vector ``(d,)``, overwritten.
+        work: temporary vector ``(d,)``.
+    """
     for k in range(len(vector)):
         work[k] = vector[k]
     for k in range(len(vector)):
@@ -110,7 +122,16 @@ def turn(body, vector, work):
 
 @inline
 def relative_velocity(x, v, first, i, body, result):
-    """Set the velocity of a point relative to the body."""
+    """Set the velocity of a point relative to the body.
+
+    Args:
+        x: positions of points [m], by component and point.
+        v: velocities of points [m/s], by component and point.
+        first: row of the first component.
+        i: column of the point.
+        body: the ``Contact``.
+        result: relative velocity ``(d,)`` [m/s], overwritten.
+    """
     for k in range(len(result)):
         result[k] = v[first + k, i] - body.velocity[k]
         for j in range(len(result)):
@@ -119,7 +140,12 @@ def relative_velocity(x, v, first, i, body, result):
 
 @inline
 def dot(a, b):
-    """Return the scalar product."""
+    """Return the scalar product.
+
+    Args:
+        a: vector ``(d,)``.
+        b: vector ``(d,)``.
+    """
     result = 0.0
     for k in range(len(a)):
         result += a[k] * b[k]
@@ -128,7 +154,16 @@ def dot(a, b):
 
 @inline
 def add_to_total(x, first, i, body, force, total):
-    """Add a force on a point and its moment about the centre of the body to totals ``(8,)``."""
+    """Add a force on a point, and its moment about the centre of the body, to totals.
+
+    Args:
+        x: positions of points [m], by component and point.
+        first: row of the first component.
+        i: column of the point.
+        body: the ``Contact``.
+        force: force on the point ``(d,)`` [N].
+        total: totals ``(8,)``; see ``body.TOTALS``.
+    """
     d = len(force)
     for k in range(d):
         total[k] += force[k]
@@ -140,10 +175,23 @@ def add_to_total(x, first, i, body, force, total):
 
 @inline
 def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
-    """Set the force ``(d,)`` of a body on a point of mass m, and add it to totals.
+    """Set the force of a body on a point, and add it to totals.
+
+    Args:
+        x: positions of points [m], by component and point.
+        v: velocities of points [m/s], by component and point.
+        slip: springs and displacements along the body [m], two vectors per point.
+        first: row of the first component.
+        i: column of the point.
+        m: mass of the point [kg].
+        body: the ``Contact``.
+        dt: time step [s].
+        work: at least four temporary vectors ``(d,)``.
+        force: force on the point ``(d,)`` [N], overwritten.
+        total: totals ``(8,)``; see ``body.TOTALS``.
 
     Returns:
-        The distance. If it is not less than the reach, there is no force, and none is set.
+        The distance [m]. If it is not less than the reach, there is no force, and none is set.
     """
     y, normal, w, t = work[0], work[1], work[2], work[3]
     distance = gap(x, first, i, body, y, normal)
@@ -184,8 +232,22 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
 def keep_out(x, x_next, v, slip, first, i, m, body, dt, work, force, total):
     """End the step of a point: keep it outside a body at its new position, and update its spring.
 
-    The force that this requires is added to totals. The mass of a point within reach is added to
-    the mass in contact with the body.
+    The force that this requires is added to totals. So are the mass and polar moment of a point
+    within reach.
+
+    Args:
+        x: positions of points at the start of the step [m], by component and point.
+        x_next: positions at the end of the step [m], corrected in place.
+        v: velocities of points [m/s], corrected in place.
+        slip: springs and displacements along the body [m], two vectors per point.
+        first: row of the first component.
+        i: column of the point.
+        m: mass of the point [kg].
+        body: the ``Contact``.
+        dt: time step [s].
+        work: at least three temporary vectors ``(d,)``.
+        force: temporary vector ``(d,)`` for the force [N].
+        total: totals ``(8,)``; see ``body.TOTALS``.
 
     Returns:
         Whether the point was too close.

@@ -57,10 +57,18 @@ class Products(Protocol):
     """Interface of matrix terms that are known by their products with vectors."""
 
     def operator(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A plus the terms as an operator that follows a scaling of A (collective)."""
+        """Return A plus the terms as an operator that follows a scaling of A (collective).
+
+        Args:
+            A: assembled matrix.
+        """
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A plus the terms as a matrix, which the owner of the terms keeps (collective)."""
+        """Return A plus the terms as a matrix, which the owner of the terms keeps (collective).
+
+        Args:
+            A: assembled matrix.
+        """
 
 
 class LinearSolverError(RuntimeError):

@@ -43,7 +43,7 @@ _SMALL, _FAR = 1e-9, 1e3
 # If an iteration reduces the residual by this factor or more, the next tangent keeps the terms of
 # projections. These terms hardly change any more, and cost as much as the rest of the tangent.
 _LAST_CHANGES = 1e-3
-# Share of the work that a line search leaves, and residuals that it takes at most
+# Share of the work at which a line search stops, and its largest number of residuals
 _HARDLY, _SEARCH = 0.1, 12
 
 
@@ -363,7 +363,7 @@ class NewtonSolver:
         return new, length
 
     def _work(self, step: npt.NDArray[np.float64]) -> float:
-        """Work of the residual in b on a step, without constrained entries (collective)."""
+        """Return the work of the residual in b on a step, on free entries (collective)."""
         free = self._b.array_r.copy()
         for bc in self.bcs:
             _compat.bc_set(bc, free, np.zeros(len(free)), 0.0)
@@ -376,12 +376,13 @@ class NewtonSolver:
         length: float,
         work: float,
     ) -> tuple[float, float]:
-        """Length at which the residual does hardly any work on the step, and its norm there.
+        """Return the step length at which the residual does hardly any work, and its norm there.
 
-        The residual at ``length``, where the work is negative, is that in b. The sign of the work
-        shows that a step has gone too far also where its residual grows in any case, such as over
-        the corner between sticking and slipping (M. Crisfield, Non-linear Finite Element Analysis
-        of Solids and Structures 1, 1991, section 9.2). Method: regula falsi (Illinois).
+        At the given ``length`` the work is negative, and b contains the residual. The sign of the
+        work shows that a step is too long even where the residual grows for any length, such as
+        across the corner between sticking and slipping (M. Crisfield, Non-linear Finite Element
+        Analysis of Solids and Structures 1, 1991, section 9.2). The length is found by the regula
+        falsi (Illinois).
         """
         low, high, at_low, at_high, before = 0.0, length, work, self._work(step), 0.0
         for _ in range(_SEARCH):
@@ -406,7 +407,7 @@ class NewtonSolver:
         """
         with self._projected.held():
             self._projected.assemble(self.bcs, projections_stay)
-            # bodies that may touch, but do not, reach nodes with no more than zeros
+            # An open contact reaches nodes with zeros only.
             idle = self._b.array_r == 0.0
             if self.tying is None:
                 return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A, fill=idle)
