@@ -8,7 +8,7 @@
 # functions with a continuous gradient (B-splines), or points that do not cross. `basis.use`
 # chooses the functions of a body, and forms stay as they are.
 #
-# From here on we use the loops of the package. `ExplicitMPM` takes a residual in UFL, as
+# From here on, the loops of the package make the steps. `ExplicitMPM` takes a residual in UFL, as
 # `NewtonSolver` does. Its unknown is a velocity on the grid.
 
 # +

@@ -3,8 +3,8 @@
 # # 7. A dynamic incompressible body
 #
 # All pieces are there: points that carry a body through a mesh, an incompressible law with a
-# stabilized pressure, and time steps. We put them together for a rubber beam that is clamped at
-# its left end and let go under its weight.
+# stabilized pressure, and time steps. This page puts them together for a rubber beam that is
+# clamped at its left end and let go under its weight.
 #
 # Steps are implicit now. In each one, the increment $\mathbf u$ of the displacement and the mean
 # stress $p$ solve
