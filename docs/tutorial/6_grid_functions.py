@@ -66,6 +66,7 @@ io.plot("output/6_grid_functions.png", curves, "x [m]", "stretch [-]")
 
 # ## Your turn
 #
-# Let the bar swing for a whole period, `4 * quarter`, and compare the curves. Then try `"cubic"`.
-# Functions that reach further are smoother, but they take more time and need more points near the
-# boundary. [Grid functions](../explanation/grid_functions.md) explains the choice.
+# Let the bar swing for a whole period, `swing(functions, 4 * quarter)`, and compare the curves.
+# Then go through `"linear", "gimp", "quadratic", "cubic"`. Functions that reach further are
+# smoother, but they take more time and need more points near the boundary.
+# [Grid functions](../explanation/grid_functions.md) explains the choice.
