@@ -62,9 +62,10 @@ def install() -> None:
     wanted = extras["optional-dependencies"]["docs"]
     print("installing", *wanted, flush=True)
     pip = [sys.executable, "-m", "pip", "install"]
-    # quiet, since pip complains that it does not see Debian's VTK; if it fails, it may say why
-    if subprocess.run([*pip, "-qqq", *wanted]).returncode != 0:
-        subprocess.run([*pip, *wanted], check=True)
+    # what pip says is shown only if it fails: it complains that it does not see Debian's VTK
+    done = subprocess.run([*pip, *wanted], stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    if done.returncode != 0:
+        sys.exit(done.stdout.decode())
 
 
 def version_of(script: Path) -> str:

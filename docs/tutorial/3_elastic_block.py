@@ -53,10 +53,11 @@ R += RHO * G * z.test.u[1] * body.dx
 
 # ## Nodes without points
 #
-# Most nodes of this mesh see no point at all. Their rows in the tangent are empty, and
-# `NewtonSolver` leaves them out by itself. Others see only one column of points, far away from
-# them. They are nearly free, and the tangent is nearly singular. `cells.Tying` makes such nodes
-# follow their neighbours inside of the body.
+# A node *sees* a point if its function is not zero there. Most nodes of this mesh see no point at
+# all. Their rows in the tangent are empty, and `NewtonSolver` leaves them out by itself. Others
+# see only the last column of points, far away from them. They have hardly any stiffness, and the
+# tangent is nearly singular. `cells.Tying` makes such nodes follow their neighbours inside the
+# body. Cells with points are *active*: `ActiveCells` finds them.
 
 # +
 tying = cells.Tying(z.space, body, cells.ActiveCells(body))
@@ -66,7 +67,8 @@ print(result)
 
 # ## Result
 #
-# `probe` follows one place of the body. The deflection of a slender beam under its weight is $q
+# The displacement is evaluated at the points, and the lowest point gives the deflection of the
+# tip. Beam theory says what to expect: the deflection of a slender beam under its weight is $q
 # L^4 / (8 E I)$, to which shear adds $q L^2 / (2 \kappa G A)$ with $\kappa = 5/6$. In plane
 # strain $E$ becomes $E / (1 - \nu^2)$. Linear functions are a little too stiff in bending.
 
@@ -86,5 +88,6 @@ io.picture("output/3_elastic_block.png", body, "u", "displacement [m]", displace
 # ## Your turn
 #
 # Make the mesh twice as fine: `[40, 32]` and `H = 0.125`. The deflection comes closer to beam
-# theory. Then write another energy in place of `psi`. Nothing else has to change, since
-# `ufl.diff` and `ufl.derivative` do the rest.
+# theory. Then write another energy, with `lmbda / 2 * (J - 1) ** 2` as its last term. Nothing
+# else has to change, since `ufl.diff` and `ufl.derivative` do the rest. The deflection is nearly
+# the same, because volumes hardly change in bending.

@@ -95,12 +95,13 @@ io.picture(
 #
 # ## Your turn
 #
-# A stabilization is a UFL form. Replace `formulations.asgs(z, body, rubber)` by your own:
+# A stabilization is a UFL form. Replace the line `R += formulations.asgs(z, body, rubber)` by
+# your own:
 #
 # ```python
 # h = formulations.element_size(body)
 # R -= h**2 / (2 * rubber.mu) * ufl.inner(ufl.grad(z.p), ufl.grad(z.test.p)) * body.dx
 # ```
 #
-# How does the deflection change? [A page of its own](../howto/own_stabilization.md) measures the
-# order of convergence of your term.
+# The pressure is smooth again. How does the deflection change?
+# [A page of its own](../howto/own_stabilization.md) measures the order of convergence of your term.

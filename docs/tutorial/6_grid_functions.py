@@ -8,7 +8,7 @@
 # functions with a continuous gradient (B-splines), or points that do not cross. `basis.use`
 # chooses the functions of a body, and forms stay as they are.
 #
-# From here on we use the loops of the package. `ExplicitMPM` takes a residual in UFL, as
+# From here on, the loops of the package make the steps. `ExplicitMPM` takes a residual in UFL, as
 # `NewtonSolver` does. Its unknown is a velocity on the grid.
 
 # +
@@ -66,6 +66,7 @@ io.plot("output/6_grid_functions.png", curves, "x [m]", "stretch [-]")
 
 # ## Your turn
 #
-# Let the bar swing for a whole period, `4 * quarter`, and compare the curves. Then try `"cubic"`.
-# Functions that reach further are smoother, but they take more time and need more points near the
-# boundary. [Grid functions](../explanation/grid_functions.md) explains the choice.
+# Let the bar swing for a whole period, `swing(functions, 4 * quarter)`, and compare the curves.
+# Then go through `"linear", "gimp", "quadratic", "cubic"`. Functions that reach further are
+# smoother, but they take more time and need more points near the boundary.
+# [Grid functions](../explanation/grid_functions.md) explains the choice.

@@ -17,7 +17,6 @@
 from mpi4py import MPI
 
 import numpy as np
-import ufl
 from dolfinx import mesh
 
 from fenicsmpm import ImplicitMPM, formulations, io, points
@@ -37,7 +36,7 @@ def beam(*observers):
     z = formulations.Unknown(domain, "u", "p")
     z.fix("u", lambda x: np.isclose(x[0], 0))
     scheme = formulations.Bossak(z, dt=DT)
-    force = scheme.force(body, ufl.as_vector((0.0, -9.81)))
+    force = scheme.force(body, (0.0, -9.81))
     cells = ActiveCells(body)
     R = formulations.mixed(z, body, law, force=force)
     R += formulations.asgs(z, body, law, force=force) + formulations.ghost_penalty(z, cells, law)
@@ -87,8 +86,12 @@ assert difference < 1e-6
 
 # ## Your turn
 #
-# Run the script on one rank and on two, and compare the momenta. Save on two ranks and restore on
-# three. Open the series in ParaView; [a page of its own](../howto/paraview.md) says how.
+# Run the script on one rank and on two, and compare the momenta. Then save on two ranks and
+# restore on three: copy the script, take out of one copy the section "A restart", and of the other
+# one the section "A series for ParaView". In the second copy, print the momentum in place of the
+# last three lines: `io.say(f"momentum {momentum(body).round(3)} kg m/s")`.
+#
+# Open the series in ParaView; [a page of its own](../howto/paraview.md) says how.
 #
 # This is the end of the tutorial. The [gallery](../gallery/index.md) has what can be done from
 # here, and the [how-to guides](../howto/index.md) have the steps for tasks of your own.

@@ -12,14 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal, TypeAlias
 
-import numpy as np
 import ufl
-from dolfinx import fem
 
 from fenicsmpm.formulations.fbar import FBar, default_fbar
 from fenicsmpm.formulations.initial_state import require_initial_state
 from fenicsmpm.formulations.kinematics import embed
-from fenicsmpm.formulations.time_scheme import density
+from fenicsmpm.formulations.time_scheme import density, force_per_mass
 from fenicsmpm.materials import Law, NeoHookean, state_of, stress
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
@@ -150,17 +148,9 @@ def body_force(w: Any, points: MaterialPoints, b: Any) -> ufl.Form:
         UFL form of rank 1 over the points [N], to be added to the residual.
 
     Raises:
-        ValueError: if the numbers are not finite, or the shape is wrong.
+        ValueError: if there are no masses, the numbers are not finite, or the shape is wrong.
     """
-    dim = points.mesh.geometry.dim
-    if not isinstance(b, ufl.core.expr.Expr):
-        values = np.asarray(b, dtype=np.float64)
-        if values.shape != (dim,) or not np.isfinite(values).all():
-            raise ValueError(f"a body force must be {dim} finite numbers, not {b!r}")
-        b = fem.Constant(points.mesh, values)
-    if b.ufl_shape != (dim,):
-        raise ValueError(f"a body force must have shape ({dim},), not {b.ufl_shape}")
-    return force_work(points, b, w) * points.dx
+    return force_work(points, force_per_mass(points, b), w) * points.dx
 
 
 def force_work(points: MaterialPoints, b: Any, w: Any) -> Any:

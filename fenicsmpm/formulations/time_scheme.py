@@ -72,10 +72,14 @@ class TimeScheme(ABC):
 
         Args:
             points: the body, with the field "mass" [kg].
-            b: body force per mass, such as gravity ``(d,)`` [m/s^2]. None for none.
+            b: body force per mass, such as gravity [m/s^2]: d numbers, a ``fem.Constant``, or a
+                UFL vector. None for none.
+
+        Raises:
+            ValueError: if there are no masses, the numbers are not finite, or the shape is wrong.
         """
-        acceleration = -self.acceleration if b is None else b - self.acceleration
-        return density(points) * acceleration
+        own = -self.acceleration
+        return density(points) * (own if b is None else force_per_mass(points, b) + own)
 
     def inertia(self, points: MaterialPoints) -> ufl.Form:
         """Return the inertia (rho a, w) with the mass of the scheme, here the consistent one.
@@ -195,8 +199,37 @@ def density(points: MaterialPoints) -> Any:
 
     Args:
         points: the body, with the field "mass" [kg].
+
+    Raises:
+        ValueError: if the points have no masses.
     """
+    if "mass" not in points:
+        raise ValueError(
+            "a body without the field mass has no density: call set_initial_state(points, density) "
+            "first"
+        )
     return points.field("mass") / points.field("weight")
+
+
+def force_per_mass(points: MaterialPoints, b: Any) -> Any:
+    """Return a force per mass ``(d,)`` [m/s^2] as UFL.
+
+    Args:
+        points: the body on which it acts.
+        b: d numbers, a ``fem.Constant``, or a UFL vector.
+
+    Raises:
+        ValueError: if the numbers are not finite, or the shape is wrong.
+    """
+    dim = points.mesh.geometry.dim
+    if not isinstance(b, ufl.core.expr.Expr):
+        values = np.asarray(b, dtype=np.float64)
+        if values.shape != (dim,) or not np.isfinite(values).all():
+            raise ValueError(f"a body force must be {dim} finite numbers, not {b!r}")
+        return fem.Constant(points.mesh, values)
+    if b.ufl_shape != (dim,):
+        raise ValueError(f"a body force must have shape ({dim},), not {b.ufl_shape}")
+    return b
 
 
 def check_time_step(dt: float) -> None:

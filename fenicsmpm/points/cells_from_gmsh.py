@@ -104,9 +104,13 @@ def _cells_of(
     for group in groups:
         tags = [tag for tag, name in known.items() if group in (tag, name)]
         if not tags:
-            listed = ", ".join(f"{tag} '{name}'" for tag, name in known.items()) or "none"
+            listed = ", ".join(
+                f"{tag} '{model.getPhysicalName(d, tag)}' (dimension {d})"
+                for d, tag in model.getPhysicalGroups()
+            )
             raise ValueError(
-                f"{file}: no physical group {group!r} of dimension {dim}, there are: {listed}"
+                f"{file}: no physical group {group!r} of dimension {dim}, there are: "
+                f"{listed or 'none'}"
             )
         for tag in tags:
             entities.update(dict.fromkeys(model.getEntitiesForPhysicalGroup(dim, tag)))
@@ -147,9 +151,12 @@ def in_cells(background: Mesh, part: Mesh, spacing: float, tag: int = 0) -> Mate
         tag: Tag of the points.
 
     Raises:
+        TypeError: If the part is no mesh.
         ValueError: If the spacing is not positive.
         PointsOutsideError: If some point is outside of the background mesh.
     """
+    if not isinstance(part, Mesh):
+        raise TypeError(f"in_cells needs a mesh, such as read_cells returns, not {part!r}")
     if not 0.0 < spacing < np.inf:
         raise ValueError(f"the spacing of points in cells must be positive, not {spacing}")
     geometry = cell_geometry(part)

@@ -118,6 +118,11 @@ def on_surface(mesh: Mesh, solid: Solid, spacing: float, tag: int = 0) -> Materi
 
 
 def _check_dimension(mesh: Mesh, solid: Solid) -> None:
+    if not isinstance(solid, Solid):
+        raise TypeError(
+            "a solid is needed, as from read_solid, boundary_of and the functions of shapes, not "
+            f"{solid!r}"
+        )
     if solid.dim != mesh.geometry.dim:
         raise ValueError(
             f"a solid of {solid.dim} dimensions in a mesh of {mesh.geometry.dim}: {solid!r}"

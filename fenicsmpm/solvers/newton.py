@@ -155,6 +155,10 @@ class NewtonSolver:
         """Compile the forms (collective)."""
         if not 0 <= keep_tangent < 1:
             raise ValueError(f"keep_tangent must lie in [0, 1): {keep_tangent}")
+        if not isinstance(U, fem.Function):
+            raise TypeError(
+                f"the unknown of Newton's method must be a dolfinx function, such as z.U, not {U!r}"
+            )
         if tying is not None and tying.space != U.function_space:
             raise ValueError(
                 "nodes are tied in another space than that of the unknown: create "
