@@ -170,9 +170,13 @@ def test_ranks_that_do_not_see_enough_say_so_together():
 @pytest.mark.parametrize(
     ("name", "half", "message"),
     [
-        ("spline", None, "no grid functions 'spline': there are linear, quadratic, cubic, gimp"),
-        ("gimp", None, "which need it"),
-        ("cubic", 0.1, "for nothing else"),
+        (
+            "spline",
+            None,
+            "unknown grid functions 'spline': choose one of linear, quadratic, cubic, gimp",
+        ),
+        ("gimp", None, "need half_size"),
+        ("cubic", 0.1, "other functions do not take it"),
         ("gimp", 0.2, "at most half a cell"),
         ("gimp", (0.1, 0.0), "above 0"),
         ("gimp", (0.1, 0.1, 0.1), "shape"),
