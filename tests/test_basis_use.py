@@ -173,7 +173,7 @@ def test_ranks_that_do_not_see_enough_say_so_together():
         (
             "spline",
             None,
-            "unknown grid functions 'spline': choose one of linear, quadratic, cubic, gimp",
+            "unknown grid functions 'spline': choose one of linear, quadratic, cubic",
         ),
         ("gimp", None, "need half_size"),
         ("cubic", 0.1, "other functions do not take it"),
