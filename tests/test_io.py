@@ -306,7 +306,7 @@ def test_pictures_that_cannot_be_drawn_raise_on_all_ranks(directory, monkeypatch
         io.picture(path, {}, "p")
     points = fill(unit_mesh("triangle"), 1)
     points.add_field("v", (2,))
-    with pytest.raises(ValueError, match="component 3 does not exist: .* components 0 to 2"):
+    with pytest.raises(ValueError, match=r"component 3 does not exist: .* components 0 to 2"):
         io.picture(path, points, "v", component=3)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr(pictures, "_needs_x_server", lambda: True)
