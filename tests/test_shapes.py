@@ -284,7 +284,7 @@ def test_contour_cut_off_at_the_edge_of_the_image():
     "make, match",
     [
         (lambda: mask(np.ones((2, 2))), "bool values .* not float64"),
-        (lambda: mask(np.ones(4, dtype=bool)), r"not bool of the shape \(4,\)"),
+        (lambda: mask(np.ones(4, dtype=bool)), r"not bool of shape \(4,\)"),
         (lambda: mask(np.zeros((2, 2), dtype=bool)), "must be true somewhere"),
         (lambda: mask(np.ones((2, 2), dtype=bool), 0.0), "positive, not 0.0"),
         (lambda: mask(np.ones((2, 2), dtype=bool), (1, 1, 1)), "1 or 2 numbers"),

@@ -93,7 +93,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def strain(f):
-        """Return the norm of sym(f) - I, the strain increment of a relative deformation gradient."""
+        """Return the norm of sym(f) - I, the strain increment of relative gradients f (d, d)."""
         total = zeros()
         for j in range(dim):
             normal = load(f, j * dim + j) - 1.0

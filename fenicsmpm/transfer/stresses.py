@@ -23,7 +23,8 @@ def stresses(update: Any, update_eight: Any, n_state: int, rates: bool) -> Any:
 
     Args:
         update: Function of the law.
-        update_eight: The same for eight points where that is possible without branches, or None.
+        update_eight: The same for eight points at once, or None. It returns False where it
+            cannot, such as at points that need iterations.
         n_state: Number of state variables of the law.
         rates: Whether the law needs velocity gradients.
     """
