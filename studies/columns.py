@@ -37,8 +37,8 @@ CASES["smooth"] = SMOOTH | {"stabilization": "cip"}
 CASES["smooth-cmn"] = CASES["smooth"] | {"volumetric": "miehe", "transient": True}
 CASES["energy"] = SMOOTH | {"stabilization": "hessian", "scheme": "Midpoint"}
 # Half the width of the background mesh [m]; a divisor of the number of points along a side; end of
-# a run and time until which u_x has its first peak [s]; options of the cases of CMN; steps of smooth
-# functions [s]; and the smallest distance of turning points of u_x in time [s]
+# a run and time until which u_x has its first peak [s]; options of the cases of CMN; steps of
+# smooth functions [s]; and the smallest distance of turning points of u_x in time [s]
 COLUMNS = {
     "bending_beam": ((4.5, 1.0), 2, 3.0, 0.9, {"dt": 0.01}, 0.005, 0.2),
     "twisting_column": ((1.25, 1.25), 4, 0.5, 0.07, {"speed": 1.05}, 0.001, 0.02),
