@@ -256,7 +256,7 @@ def test_files_that_are_no_surfaces(directory):
         ("damaged.stl", ValueError, "contains no triangles"),
         ("cloud.vtp", ValueError, "contains no triangles"),
         ("surface.step", ValueError, r"a surface is read from .stl, .* not from '.step'"),
-        ("image.vti", ValueError, "not '.vti'"),
+        ("image.vti", ValueError, "not from '.vti'"),
     ]:
         with pytest.raises(error, match=match):
             points.read_solid(directory / name)
@@ -417,7 +417,7 @@ def test_bad_clouds(directory):
     domain = plane()
     for name, error, match in [
         ("nothing.csv", FileNotFoundError, "no file"),
-        ("short.csv", ValueError, "needs positions 'x' and 'volume', but has x"),
+        ("short.csv", ValueError, "needs 'x' and 'volume', but has x"),
         ("odd.csv", ValueError, "the first line has 3 names for 2 columns"),
         ("nowhere.csv", ValueError, "needs positions 'x' and 'volume', but has volume, mass"),
         ("word.csv", ValueError, "zero"),
@@ -538,7 +538,7 @@ def test_bad_cells(directory):
         (directory / "nothing.msh", 1, 2, FileNotFoundError, "no file"),
         (two, "steel", 2, ValueError, r"no physical group 'steel' .* 7 'inner', 9 'outer'"),
         (two, "side", 2, ValueError, "no physical group 'side' of dimension 2"),
-        (two, 7, 3, ValueError, "no physical group 7 of dimension 3, there are: none"),
+        (two, 7, 3, ValueError, "no physical group 7 of dimension 3; available are: none"),
         (two, [], 2, ValueError, "not none at all"),
         (two, 7, 1, ValueError, "dim must be 2 or 3, not 1"),
         (curved, 7, 2, ValueError, "straight sides, not Triangle 6"),

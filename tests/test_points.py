@@ -209,7 +209,7 @@ def test_wrong_input_on_one_rank_raises_on_all():
         ({"x": nan}, {"x": x}, "positions must be finite: 1 of 5 are not, first point 3"),
         ({"weight": weight}, {"weight": ones}, "2 of 5 are not, first -0.5 at point 2"),
         ({"weight": 0.0}, {"weight": 1.0}, "5 of 5 are not, first 0.0 at point 0"),
-        ({"weight": np.ones(4)}, {"weight": ones}, r"weight of shape \(4,\) for 5 points"),
+        ({"weight": np.ones(4)}, {"weight": ones}, r"weight of shape \(4,\) does not fit 5 points"),
         ({"x": np.zeros((5, 3))}, {"x": x}, r"shape \(n, 2\), not \(5, 3\)"),
         ({"x": ["a"]}, {"x": x}, "must be numbers"),
         ({"tag": [1, 2]}, {}, "tag of shape"),
