@@ -309,7 +309,7 @@ def test_a_law_may_change_its_parameters_only():
     sim.laws[body] = VonMises(100.0, 0.3, sigma_y=1.0)
     sim.step()
     sim.laws[body] = Hencky(100.0, 0.3)
-    with pytest.raises(ValueError, match="may change its parameters only"):
+    with pytest.raises(ValueError, match="only the parameters of"):
         sim.step()
 
 
@@ -424,7 +424,7 @@ def test_wrong_input():
         formulations.FBar(r=-0.1)
     sim = simulate(V, {body: RUBBER})
     for until, interval in ((np.inf, None), (1.0, 0.0)):
-        with pytest.raises(ValueError, match="run until"):
+        with pytest.raises(ValueError, match="end of a run must be finite"):
             next(sim.run(until, interval))
     assert "points of " in repr(sim) and "step length" in repr(sim)
 

@@ -361,5 +361,5 @@ def test_wrong_contacts():
         simulate([a, b, other], contacts=[Contact(a, b)])
     with pytest.raises(ValueError, match=r"frictions 0\.0 and 0\.3"):
         simulate([a, b, other], contacts=[Contact(a, b), Contact(other, b, 0.3)])
-    with pytest.raises(ValueError, match="no contact of this simulation"):
+    with pytest.raises(ValueError, match="does not have the contact"):
         sim.contact_forces(Contact(a, b))
