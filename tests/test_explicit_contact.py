@@ -351,9 +351,9 @@ def test_wrong_contacts():
             Contact(a, b, stiffness=stiffness)
     with pytest.raises(ValueError, match="itself"):
         Contact(a, a)
-    with pytest.raises(ValueError, match="two contacts of the bodies 0 and 1"):
+    with pytest.raises(ValueError, match="bodies 0 and 1 have two contacts"):
         simulate([a, b], contacts=[Contact(a, b), Contact(b, a, 0.1)])
-    with pytest.raises(ValueError, match="no body of this simulation"):
+    with pytest.raises(ValueError, match="needs bodies of this simulation"):
         simulate([a, b], contacts=[Contact(a, other)])
     with pytest.raises(ValueError, match="carried points have no mass"):
         simulate([a, b], contacts=[Contact(a, other)], carried=[other])
