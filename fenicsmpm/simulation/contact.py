@@ -50,7 +50,7 @@ class Contact:
     ) -> None:
         """Check the input."""
         if first is second:
-            raise ValueError("a contact needs two bodies: points of one body share velocities")
+            raise ValueError("a body cannot touch itself: its points share velocities")
         if not friction >= 0:
             raise ValueError(f"friction must be a number that is not negative, not {friction}")
         if not 0 < stiffness < np.inf:
@@ -108,6 +108,7 @@ def share_velocities(
         if between.setdefault(pair, friction) != friction:
             raise ValueError(
                 f"frictions {between[pair]} and {friction} act between bodies that share "
-                "velocities: use one value, or give contacts between the bodies on the same side, too"
+                "velocities: use one value, or give contacts between the bodies on the same side, "
+                "too"
             )
     return [[bodies[k] for k in range(len(bodies)) if group[k] == g] for g in sorted({*group})]
