@@ -62,12 +62,26 @@ def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = Non
 
 
 def functions_of(points: MaterialPoints) -> str:
-    """Return the name of the grid functions of points: "linear" without ``use``."""
+    """Return the name of the grid functions of points: "linear" without ``use``.
+
+    Args:
+        points: The point set.
+
+    Returns:
+        One of the names that ``use`` takes.
+    """
     return "linear" if points.grid_functions is None else points.grid_functions[0]
 
 
 def stencil_of(points: MaterialPoints) -> PointStencil:
-    """Return the stencil of a point set, made at first use; see ``use``."""
+    """Return the stencil of a point set, made at first use; see ``use``.
+
+    Args:
+        points: The point set.
+
+    Returns:
+        The stencil.
+    """
     if points not in _stencils:
         if points.grid_functions is None:
             _stencils[points] = LagrangeStencil(points)

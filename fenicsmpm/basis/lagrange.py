@@ -22,6 +22,9 @@ def is_linear(element: Any) -> bool:
 
     Args:
         element: UFL element of a function space.
+
+    Returns:
+        True for P1 and Q1 elements, scalar or blocked.
     """
     scalar = getattr(element, "basix_element", None)
     if scalar is None or element.reference_value_size != element.block_size:

@@ -109,7 +109,12 @@ class History(Observer):
             self.write(sim)
 
     def done(self, sim: Any, step: Step) -> None:
-        """Record the state after a step. Collective."""
+        """Record the state after a step. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         self.write(sim)
 
     def write(self, sim: Any) -> None:

@@ -135,7 +135,12 @@ class Series(Observer):
         self._has_begun = True
 
     def done(self, sim: Any, step: Step) -> None:
-        """Write the state after a step, if it is due. Collective."""
+        """Write the state after a step, if it is due. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if is_until(self.times[-1] + self._every, step.time):
             self.write(step.time, sim)
 

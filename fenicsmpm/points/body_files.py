@@ -86,6 +86,9 @@ def read_solid(path: Path | str, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Solid:
         path: The file.
         comm: Communicator of the ranks that get the solid.
 
+    Returns:
+        The solid, on all ranks.
+
     Raises:
         OpenSurfaceError: If the surface has holes.
         FileNotFoundError: If there is no such file.
@@ -124,6 +127,9 @@ def read_image(path: Path | str, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Image:
     Args:
         path: The file.
         comm: Communicator of the ranks that get the image.
+
+    Returns:
+        The image, on all ranks.
 
     Raises:
         FileNotFoundError: If there is no such file.

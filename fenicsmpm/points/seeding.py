@@ -231,6 +231,9 @@ def from_mesh(background: Mesh, body: MaterialPoints) -> MaterialPoints:
         background: Mesh to put the points on, on the same ranks.
         body: Points seeded on any other mesh.
 
+    Returns:
+        Points on the background mesh, in the cells that contain them.
+
     Raises:
         PointsOutsideError: If some point is outside of the background mesh.
     """
@@ -257,6 +260,9 @@ def on_facets(
         degree: Degree that the rule integrates exactly on affine facets. Degree 1 gives one point
             per facet on simplices and quadrilaterals.
         tag: Tag of the points.
+
+    Returns:
+        The points; their weights are areas in m^2, in 2D lengths in m.
 
     Raises:
         ValueError: If there are no points at all, or no such facets.
@@ -324,6 +330,9 @@ def at(mesh: Mesh, x: npt.ArrayLike, weight: float = 1.0, tag: int = 0) -> Mater
         weight: Weight of each point.
         tag: Tag of the points.
 
+    Returns:
+        The points, in the order of the positions.
+
     Raises:
         ValueError: If the positions have another shape.
         PointsOutsideError: If some point is outside of the mesh.
@@ -347,6 +356,9 @@ def on_curve(
         b: End in m, shape (d,).
         spacing: Largest length of a segment in m.
         tag: Tag of the points.
+
+    Returns:
+        The points; their weights are lengths in m.
 
     Raises:
         ValueError: If the spacing is not positive or the line has no length.

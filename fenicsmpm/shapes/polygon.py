@@ -20,6 +20,9 @@ def polygon(vertices: npt.ArrayLike, holes: Sequence[npt.ArrayLike] = ()) -> Sol
         vertices: At least 3 vertices in m, shape (n, 2).
         holes: Polygons inside the first one, of the same form.
 
+    Returns:
+        The solid.
+
     Raises:
         ValueError: For wrong shapes, sides without length, sides that cross or touch each other,
             and holes that are not inside.

@@ -53,7 +53,11 @@ class SignedDistance:
         return self._lower, self._upper
 
     def distance(self, x: npt.ArrayLike) -> Array:
-        """Return the distance at positions (3, n) in m, shape (n,)."""
+        """Return the distance at positions (3, n) in m, shape (n,).
+
+        Args:
+            x: Positions in m, shape (3, n) as in dolfinx.
+        """
         return np.asarray(self._distance(np.asarray(x, dtype=np.float64)), dtype=np.float64)
 
     def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:

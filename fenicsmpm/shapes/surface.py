@@ -51,6 +51,9 @@ def surface(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Solid:
         triangles: Numbers of their vertices, shape (n, 3). Neighbouring triangles must share
             vertex numbers, not only positions.
 
+    Returns:
+        The solid.
+
     Raises:
         OpenSurfaceError: If some edges have a triangle on one side only.
         ValueError: For wrong shapes or numbers, triangles without area, neighbours of different

@@ -31,6 +31,9 @@ def mask(
         spacing: Size of a voxel in m, one number or shape (d,).
         origin: Lower corner of the first voxel in m, one number or shape (d,).
 
+    Returns:
+        The solid.
+
     Raises:
         ValueError: For other shapes, values that are not bool, a mask that is false everywhere, and
             a spacing that is not positive.
@@ -83,6 +86,9 @@ def contour(
             thousandth of their range are moved away from it.
         spacing: Size of a voxel in m, one number or shape (d,).
         origin: Lower corner of the first voxel in m, one number or shape (d,).
+
+    Returns:
+        The solid.
 
     Raises:
         ValueError: For other shapes, values that are not finite, a level out of their range, and a

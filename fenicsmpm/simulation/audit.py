@@ -96,7 +96,11 @@ class Audit(Observer):
     last: StepAudit
 
     def start(self, sim: Any) -> None:
-        """Compile the mass of the grid. Collective."""
+        """Compile the mass of the grid. Collective.
+
+        Args:
+            sim: The simulation.
+        """
         self._found: dict[str, Balance] = {}
         self._mass = PETSc.Mat()
         if isinstance(sim, ExplicitMPM):
@@ -110,17 +114,29 @@ class Audit(Observer):
         )
 
     def begin(self, sim: Any) -> None:
-        """Store the balance of the points."""
+        """Store the balance of the points.
+
+        Args:
+            sim: The simulation.
+        """
         self._found = {"points_before": _of_points(sim)}
 
     def mapped(self, sim: Any) -> None:
-        """Store the balance of the grid with the mapped velocities."""
+        """Store the balance of the grid with the mapped velocities.
+
+        Args:
+            sim: The simulation.
+        """
         self._mass.destroy()  # of a step that failed
         self._mass = self._effective.mass()
         self._found["grid_before"] = self._of_grid(sim.scheme.histories["v"], None)
 
     def solved(self, sim: Any) -> None:
-        """Store the balance of the grid with the new velocities, at the nodes' new positions."""
+        """Store the balance of the grid with the new velocities, at the nodes' new positions.
+
+        Args:
+            sim: The simulation.
+        """
         velocity, motion = (fem.Function(self._effective.space) for _ in range(2))
         velocity.interpolate(self._nodal_velocity)
         motion.interpolate(self._nodal_motion)
@@ -128,7 +144,12 @@ class Audit(Observer):
         self._mass.destroy()
 
     def done(self, sim: Any, step: Step) -> None:
-        """Complete the balances of the step."""
+        """Complete the balances of the step.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if isinstance(sim, ExplicitMPM):
             mass, dim = sim.mass().x.array, sim.velocity.function_space.mesh.geometry.dim
             v, a = (f.x.array.reshape(-1, dim) for f in (sim.velocity, sim.acceleration()))

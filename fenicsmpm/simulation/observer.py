@@ -16,19 +16,40 @@ class Observer:
     """
 
     def start(self, sim: Any) -> None:
-        """Prepare, when the loop has been made."""
+        """Prepare, when the loop has been made.
+
+        Args:
+            sim: The simulation.
+        """
 
     def begin(self, sim: Any) -> None:
-        """Act before the first stage of a step, or of a block of explicit steps."""
+        """Act before the first stage of a step, or of a block of explicit steps.
+
+        Args:
+            sim: The simulation.
+        """
 
     def mapped(self, sim: Any) -> None:
-        """Act when fields of the points have been mapped to the grid (implicit steps)."""
+        """Act when fields of the points have been mapped to the grid (implicit steps).
+
+        Args:
+            sim: The simulation.
+        """
 
     def solved(self, sim: Any) -> None:
-        """Act when the grid has its solution and points have not moved yet (implicit steps)."""
+        """Act when the grid has its solution and points have not moved yet (implicit steps).
+
+        Args:
+            sim: The simulation.
+        """
 
     def done(self, sim: Any, step: Step) -> None:
-        """Act when a step is done, before the loop yields it."""
+        """Act when a step is done, before the loop yields it.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
 
 
 Watcher: TypeAlias = Observer | Callable[[Any, Step], None]

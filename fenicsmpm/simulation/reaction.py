@@ -35,12 +35,21 @@ class Reaction(Observer):
         self.value: npt.NDArray[np.float64] = np.full(condition.size, np.nan)
 
     def done(self, sim: Any, step: Step) -> None:
-        """Compute the reaction in explicit steps (implicit: ``solved``). Collective."""
+        """Compute the reaction in explicit steps (implicit: ``solved``). Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if isinstance(sim, ExplicitMPM):
             self.value = sim.reaction_of(self._condition)
 
     def solved(self, sim: Any) -> None:
-        """Sum up the residual at the condition's nodes. Collective."""
+        """Sum up the residual at the condition's nodes. Collective.
+
+        Args:
+            sim: The simulation.
+        """
         residual = sim.newton.residual()
         held = _compat.bc_dofs(self._condition.bc)
         held = held[held < len(residual)]

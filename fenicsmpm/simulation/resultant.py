@@ -35,11 +35,20 @@ class Resultant(Observer):
         self.torque: Any = np.nan
 
     def solved(self, sim: Any) -> None:
-        """Sum up the terms while points are where the step began. Collective."""
+        """Sum up the terms while points are where the step began. Collective.
+
+        Args:
+            sim: The simulation.
+        """
         self._find()
 
     def done(self, sim: Any, step: Step) -> None:
-        """Sum up the terms in explicit steps, for the current points. Collective."""
+        """Sum up the terms in explicit steps, for the current points. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if isinstance(sim, ExplicitMPM):
             self._find()
 

@@ -101,11 +101,20 @@ class Source(Observer):
         return None, np.tile(np.asarray(self._velocity), (len(x), 1))
 
     def begin(self, sim: Any) -> None:
-        """Store the time at which the step begins."""
+        """Store the time at which the step begins.
+
+        Args:
+            sim: The simulation.
+        """
         self._time = sim.time
 
     def done(self, sim: Any, step: Step) -> None:
-        """Add the points that have come in. Collective."""
+        """Add the points that have come in. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         way = self._speed * sim.time
         before = np.floor(self._speed * self._time / self._spacing + _EARLY).astype(np.int64)
         number = np.floor(way / self._spacing + _EARLY).astype(np.int64)
@@ -171,7 +180,12 @@ class Sink(Observer):
         self.mass, self.count = 0.0, 0
 
     def done(self, sim: Any, step: Step) -> None:
-        """Remove points. Collective."""
+        """Remove points. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         gone = remove_points(sim, self._body, self._where)
         self.mass += gone.mass
         self.count += gone.count
