@@ -419,7 +419,7 @@ def test_bad_clouds(directory):
         ("nothing.csv", FileNotFoundError, "no file"),
         ("short.csv", ValueError, "needs 'x' and 'volume', but has x"),
         ("odd.csv", ValueError, "the first line has 3 names for 2 columns"),
-        ("nowhere.csv", ValueError, "needs positions 'x' and 'volume', but has volume, mass"),
+        ("nowhere.csv", ValueError, "needs 'x' and 'volume', but has volume, mass"),
         ("word.csv", ValueError, "zero"),
         ("negative.csv", ValueError, "weights must be positive"),
         ("far.csv", points.PointsOutsideError, "1 of 2"),
@@ -541,7 +541,7 @@ def test_bad_cells(directory):
         (two, 7, 3, ValueError, "no physical group 7 of dimension 3; available are: none"),
         (two, [], 2, ValueError, "not none at all"),
         (two, 7, 1, ValueError, "dim must be 2 or 3, not 1"),
-        (curved, 7, 2, ValueError, "straight sides, not Triangle 6"),
+        (curved, 7, 2, ValueError, "straight edges, not Triangle 6"),
         (directory / "damaged.msh", 7, 2, ValueError, "damaged.msh"),
         (directory / "mesh.foo", 7, 2, ValueError, "mesh.foo"),
     ]:

@@ -400,7 +400,7 @@ def test_invalid_arguments():
         (lambda: lattice(mesh, np.nan), "spacing"),
         (lambda: on_facets(mesh, [10**6]), "must be local indices from 0"),
         (lambda: on_curve(mesh, (0, 0), (0, 0), 0.1), "positive length"),
-        (lambda: on_curve(mesh, (0, 0), (1, 0), -0.1), "spacing of -0.1"),
+        (lambda: on_curve(mesh, (0, 0), (1, 0), -0.1), "positive spacing, not 1.0 and -0.1"),
         (lambda: on_curve(mesh, (0, 0, 0), (1, 0, 0), 0.1), "2 coordinates"),
     ):
         with pytest.raises(ValueError, match=message):
