@@ -361,5 +361,11 @@ def test_wrong_contacts():
         simulate([a, b, other], contacts=[Contact(a, b)])
     with pytest.raises(ValueError, match=r"frictions 0\.0 and 0\.3"):
         simulate([a, b, other], contacts=[Contact(a, b), Contact(other, b, 0.3)])
+    left = points.lattice(a.mesh, 0.025, inside=lambda x: x[0] < 0.5)
+    right = points.lattice(a.mesh, 0.025, inside=lambda x: x[0] > 0.3)
+    for body in (left, right):
+        formulations.set_initial_state(body, 1.0)
+    with pytest.raises(ValueError, match=r"overlap by a cell or more: .* 1\.00 and 1\.00 by them"):
+        simulate([left, right], contacts=[Contact(left, right)])
     with pytest.raises(ValueError, match="does not have the contact"):
         sim.contact_forces(Contact(a, b))

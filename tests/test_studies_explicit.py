@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
 
 import bearing_capacity
 import explicit
+import hertz
 import quasi_static
 
 pytestmark = pytest.mark.once
@@ -91,3 +92,12 @@ def test_factors_of_bearing_capacity():
     for friction, values in table.items():
         found = bearing_capacity.factors(friction)
         assert [found["N_c"], found["N_q"]] == pytest.approx(values, abs=0.006)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loop", hertz.LOOPS)
+def test_hertz(loop):
+    """Ten cells in the radius and 1.8 in the half width of the contact: width and peak pressure."""
+    found = hertz.compare(*hertz.LOOPS[loop](10, 0.08))
+    assert found[1] == pytest.approx(0.18, abs=0.02)
+    assert found[3:] == pytest.approx((0.0, 0.0), abs=0.05)

@@ -90,9 +90,10 @@ class LagrangeStencil:
         """Return the number of functions of a scalar element in a cell."""
         return element.dim
 
-    def seen_cells(self) -> npt.NDArray[np.int32]:
-        """Return the cells with points, ascending."""
-        return np.unique(self.points.cell)
+    def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
+        """Return the cells with points, ascending; see ``PointStencil.seen_cells``."""
+        cells = self.points.cell
+        return np.unique(cells if which is None else cells[which])
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Tabulate values and derivatives of a scalar element's functions at the points.

@@ -279,9 +279,11 @@ class LatticeStencil:
         self._refresh()
         return self._tabulate(0, LEAST)[:, 0]
 
-    def seen_cells(self) -> npt.NDArray[np.int32]:
-        """Return local cells, ghosts included, all of whose nodes some point sees; ascending."""
+    def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
+        """Return cells all of whose nodes are seen, see ``PointStencil.seen_cells``."""
         values = self.table(self._element, 0)[:, 0, :]
+        if which is not None:
+            values = np.where(which[self._order, None], values, 0.0)
         side = range(self._width - 1)
         steps = np.array(list(itertools.product(side, repeat=self._dim)))
         ends = np.array(list(itertools.product((0, 1), repeat=self._dim)))

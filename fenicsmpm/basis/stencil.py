@@ -61,8 +61,12 @@ class PointStencil(Protocol):
             ValueError: If the functions cannot replace those of the space.
         """
 
-    def seen_cells(self) -> npt.NDArray[np.int32]:
-        """Return local cells, ghosts included, all of whose nodes some point sees; ascending."""
+    def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
+        """Return local cells, ghosts included, all of whose nodes some point sees; ascending.
+
+        Args:
+            which: Mask of the points that count, ``(n_points,)``; None for all.
+        """
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
         """Tabulate grid functions and their derivatives at the points.

@@ -33,10 +33,13 @@ class ActiveCells:
     Args:
         bodies: Point sets on one mesh.
         loads: Further sets on this mesh, such as boundary points that carry loads.
+        touching: Boundary points of other bodies on this mesh, which may touch these bodies. They
+            count if they are in a cell that shares a node with cells of the bodies.
 
     Attributes:
         points: All point sets.
         bodies: The point sets of bodies.
+        touching: Boundary points of other bodies.
         mesh: The background mesh.
         dx: Measure of integrals over the active cells.
         dS: Measure of integrals over facets between two active cells of which at least one is cut.
@@ -48,13 +51,18 @@ class ActiveCells:
             mesh with ghost cells at facets.
     """
 
-    def __init__(self, *bodies: MaterialPoints, loads: Sequence[MaterialPoints] = ()) -> None:
+    def __init__(
+        self,
+        *bodies: MaterialPoints,
+        loads: Sequence[MaterialPoints] = (),
+        touching: Sequence[MaterialPoints] = (),
+    ) -> None:
         """Prepare the topology; cells are found when they are needed. Collective."""
-        points = (*bodies, *loads)
+        points = (*bodies, *loads, *touching)
         if not bodies or any(p.mesh is not points[0].mesh for p in points):
             raise ValueError("active cells need one or more point sets, all on the same mesh")
         self.points = points
-        self.bodies, self._loads = bodies, tuple(loads)
+        self.bodies, self._loads, self.touching = bodies, tuple(loads), tuple(touching)
         self.mesh = points[0].mesh
         topology = self.mesh.topology
         dim = topology.dim
@@ -145,6 +153,13 @@ class ActiveCells:
             active.array[around] = 1.0
             for points in self._loads:
                 active.array[stencil_of(points).seen_cells()] = 1.0
+            active.scatter_reverse(la.InsertMode.add)
+        if self.touching:
+            active.array[owned:] = 0.0
+            nodes = nodes_of(self.mesh, np.flatnonzero(filled.array[:owned]))
+            near = np.asarray(nodes[_compat.geometry_dofmap(self.mesh)].any(axis=1))
+            for points in self.touching:
+                active.array[stencil_of(points).seen_cells(near[points.cell])] = 1.0
             active.scatter_reverse(la.InsertMode.add)
         active.scatter_forward()
         filled.scatter_forward()

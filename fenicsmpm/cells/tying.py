@@ -10,6 +10,7 @@ x = T y.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from petsc4py import PETSc
 
@@ -26,6 +27,14 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.transfer.points_to_grid import p2g
+
+
+class _Rim(NamedTuple):
+    """Bodies that fill cells together, their active cells, and the dofs to tie; None for all."""
+
+    bodies: list[MaterialPoints]
+    cells: ActiveCells
+    dofs: npt.NDArray[np.int32] | None
 
 
 class Tying:
@@ -59,15 +68,67 @@ class Tying:
         threshold: float = 0.5,
     ) -> None:
         """Find the degrees of freedom of each node, and the first T. Collective."""
-        self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
-        known = self.bodies and all(body in cells.points for body in self.bodies)
-        if not known or space.mesh is not cells.mesh:
+        self._prepare(space, [_Rim(_listed(bodies), cells, None)], threshold)
+
+    @classmethod
+    def of_each(
+        cls,
+        unknowns: Sequence[Any],
+        bodies: Sequence[MaterialPoints | Sequence[MaterialPoints]],
+        cells: Sequence[ActiveCells],
+        threshold: float = 0.5,
+    ) -> Tying:
+        """Tie nodes of coupled unknowns, each to cells that the bodies of its unknown fill.
+
+        Args:
+            unknowns: Unknowns made by ``formulations.coupled_unknowns``.
+            bodies: Body or bodies of each unknown, with volumes as weights in m^d.
+            cells: Active cells of the bodies of each unknown.
+            threshold: As above.
+
+        Returns:
+            The tying of all unknowns.
+
+        Raises:
+            ValueError: As above, and for sequences of different lengths.
+        """
+        lengths = [len(unknowns), len(bodies), len(cells)]
+        if len({*lengths}) > 1:
             raise ValueError(
-                "tying needs bodies that belong to the active cells: ActiveCells(body, ...)"
+                f"there are {lengths[0]} unknowns, bodies of {lengths[1]} and active cells of "
+                f"{lengths[2]}: give as many of each, in the same order"
             )
+        result = object.__new__(cls)
+        rims = [
+            _Rim(_listed(b), c, np.concatenate([z.dofs(part.name) for part in z.parts]))
+            for z, b, c in zip(unknowns, bodies, cells, strict=True)
+        ]
+        result._prepare(unknowns[0].space, rims, threshold)
+        return result
+
+    def of(self, bodies: Sequence[MaterialPoints], space: fem.FunctionSpace) -> Tying:
+        """Return the tying of functions of another space to cells that some of the bodies fill.
+
+        Args:
+            bodies: Bodies of one unknown.
+            space: Linear Lagrange space, such as that of a part of the unknown.
+        """
+        if space is self.space:
+            return self
+        (rim,) = (rim for rim in self._rims if set(rim.bodies) == set(bodies))
+        return Tying(space, rim.bodies, rim.cells, self.threshold)
+
+    def _prepare(self, space: fem.FunctionSpace, rims: Sequence[_Rim], threshold: float) -> None:
+        for rim in rims:
+            known = rim.bodies and all(body in rim.cells.points for body in rim.bodies)
+            if not known or space.mesh is not rim.cells.mesh:
+                raise ValueError(
+                    "tying needs bodies that belong to the active cells: ActiveCells(body, ...)"
+                )
         if not 0 < threshold < np.inf:
             raise ValueError(f"the threshold of filled cells must be positive, not {threshold}")
-        self.space, self.cells, self.threshold = space, cells, threshold
+        self.bodies = [body for rim in rims for body in rim.bodies]
+        self.space, self.threshold, self._rims = space, threshold, list(rims)
         self._vertices = fem.functionspace(space.mesh, ("Lagrange", 1))
         dofmap = space.dofmap
         bs, blocks = dofmap.index_map_bs, dofmap.index_map
@@ -86,6 +147,12 @@ class Tying:
                 error = ValueError(f"tying needs linear functions, not {space.ufl_element()}")
         raise_together(space.mesh.comm, error)
         self._cell_dofs = self._node_dofs[nodes]
+        self._components = [
+            np.array(
+                [rim.dofs is None or np.isin(c[:1], rim.dofs).any() for c in self._node_dofs.T]
+            )
+            for rim in rims
+        ]
         # PETSc objects on several ranks live until they are destroyed explicitly
         self._real_rows, self._tied, self._loose, self._work = (self._vector() for _ in range(4))
         self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
@@ -106,7 +173,11 @@ class Tying:
         owned = self._sizes[0]
         fixed = np.asarray(fixed, dtype=np.int32)
         self._fixed = self._global[fixed[fixed < owned]].astype(PETSc.IntType)
-        dofs, columns, weights, bare = self._extrapolation(fixed)
+        found = [
+            self._extrapolation(rim, mask, fixed)
+            for rim, mask in zip(self._rims, self._components, strict=True)
+        ]
+        dofs, columns, weights, bare = (np.concatenate(a) for a in zip(*found, strict=True))
         entries = np.ones(owned, dtype=PETSc.IntType)
         entries[dofs] = weights.shape[1]
         indptr = np.concatenate([[0], np.cumsum(entries)]).astype(PETSc.IntType)
@@ -126,13 +197,22 @@ class Tying:
         for product in self._products or ():
             product.destroy()
         self._products = None
-        self._real_rows.array_w[:] = 1.0
-        self._real_rows.array_w[np.intersect1d(dofs, np.asarray(inactive, dtype=np.int32))] = 0.0
         self._loose.array_w[:] = 1.0
         self._loose.array_w[bare] = 0.0
         self._tied.array_w[:] = 0.0
         self._tied.array_w[dofs] = 1.0
+        self.leave_out(inactive)
         self._tied.array_w[bare] = 1.0
+
+    def leave_out(self, inactive: npt.ArrayLike) -> None:
+        """Set which rows of matrices are those of the identity, see ``update``.
+
+        Args:
+            inactive: Owned local degrees of freedom.
+        """
+        self._real_rows.array_w[:] = 1.0
+        rows = np.asarray(inactive, dtype=np.int64)
+        self._real_rows.array_w[rows[self._tied.array_r[rows] > 0]] = 0.0
 
     @property
     def tied_dofs(self) -> npt.NDArray[np.int64]:
@@ -218,22 +298,24 @@ class Tying:
         y.pointwiseMult(x, self._tied)
         y.axpy(1.0, self._work)
 
-    def _extrapolation(self, fixed: npt.NDArray) -> tuple[npt.NDArray, ...]:
+    def _extrapolation(
+        self, rim: _Rim, components: npt.NDArray[np.bool_], fixed: npt.NDArray
+    ) -> tuple[npt.NDArray, ...]:
         """Return owned tied dofs ``(n,)``, their global dofs ``(n, n_vertices)``, and weights.
 
         A fourth array holds owned dofs of ill nodes that are not tied because they are fixed.
         """
         mesh = self.space.mesh
-        well = sum(filled_fractions(body) for body in self.bodies) >= self.threshold
+        well = sum(filled_fractions(body) for body in rim.bodies) >= self.threshold
         full, rest = np.flatnonzero(well), np.flatnonzero(~well)
-        ill = (nodes_of(mesh, self.cells.cells()) | self._seen()) & ~nodes_of(mesh, full)
-        tied = ill[:, None] & (self._node_dofs < self._sizes[0])
+        ill = (nodes_of(mesh, rim.cells.cells()) | self._seen(rim.cells)) & ~nodes_of(mesh, full)
+        tied = ill[:, None] & components & (self._node_dofs < self._sizes[0])
         is_fixed = np.isin(self._node_dofs, fixed)
         bare = np.unique(self._node_dofs[tied & is_fixed])
         tied &= ~is_fixed
         nodes, component = np.nonzero(tied)
-        rim = full[nodes_of(mesh, rest)[_compat.geometry_dofmap(mesh)[full]].any(axis=1)]
-        corners, dofs = self._gather(rim)
+        edge = full[nodes_of(mesh, rest)[_compat.geometry_dofmap(mesh)[full]].any(axis=1)]
+        corners, dofs = self._gather(edge)
         error = None
         if len(nodes) and not len(corners):
             error = ValueError(
@@ -249,20 +331,20 @@ class Tying:
         weights = np.einsum("nki,nk->ni", np.linalg.pinv(linear), at_node)
         return self._node_dofs[nodes, component], dofs[cell, :, component], weights, bare
 
-    def _seen(self) -> npt.NDArray[np.bool_]:
+    def _seen(self, cells: ActiveCells) -> npt.NDArray[np.bool_]:
         """Return whether the function of a node is not zero at all points, ``(n_nodes,)``."""
         space = self._vertices
         seen = np.zeros(len(self.space.mesh.geometry.x), dtype=np.bool_)
         # boundary points count, too: they may lie off the body, as on walls that it does not touch
-        for points in self.cells.points:
+        for points in cells.points:
             weight = p2g(points, points.weight, space).array
             seen[_compat.geometry_dofmap(space.mesh)] |= (weight != 0)[space.dofmap.list]
         return seen
 
-    def _gather(self, rim: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
-        """Return corners and global dofs of the rim's cells on all ranks, in the order of keys."""
+    def _gather(self, cells: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
+        """Return corners and global dofs of cells on all ranks, in the order of their keys."""
         geometry = cell_geometry(self.space.mesh)
-        here = (geometry.key[rim], geometry.corners(rim), self._global[self._cell_dofs[rim]])
+        here = (geometry.key[cells], geometry.corners(cells), self._global[self._cell_dofs[cells]])
         gathered = self.space.mesh.comm.allgather(here)
         key, corners, dofs = (np.concatenate(arrays) for arrays in zip(*gathered, strict=True))
         order = np.argsort(key)
@@ -291,6 +373,10 @@ def _components(space: fem.FunctionSpace) -> list[npt.NDArray[np.int32]]:
         return [space.dofmap.list]
     subspaces = (space.sub(i) for i in range(space.num_sub_spaces))
     return [dofs for subspace in subspaces for dofs in _components(subspace)]
+
+
+def _listed(bodies: MaterialPoints | Sequence[MaterialPoints]) -> list[MaterialPoints]:
+    return [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
 
 
 @njit

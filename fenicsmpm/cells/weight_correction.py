@@ -44,7 +44,8 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
     fill = filled_fractions(body)
     empty = np.ones(len(fill), dtype=np.bool_)
     for points in cells.points:
-        empty[points.cell] = False
+        if points not in cells.touching:
+            empty[points.cell] = False
     at_gap = nodes_of(mesh, np.flatnonzero(empty))[_compat.geometry_dofmap(mesh)[: len(fill)]].any(
         axis=1
     )

@@ -217,6 +217,7 @@ def assemble_matrix(
     bcs: Sequence[fem.DirichletBC] = (),
     diag: float = 1.0,
     A: la.MatrixCSR | None = None,
+    fill: npt.NDArray[np.bool_] | None = None,
 ) -> la.MatrixCSR:
     """Assemble a form of rank 2 (collective).
 
@@ -229,6 +230,9 @@ def assemble_matrix(
         bcs: Dirichlet conditions.
         diag: diagonal entry of constrained degrees of freedom.
         A: matrix to overwrite, from ``create_matrix``. None for a new one.
+        fill: ``(n_owned_rows,)`` mask of rows that also get a row of the identity if all their
+            entries are zero, such as those of nodes that only an open contact reaches. None for
+            none.
 
     Returns:
         The matrix. Its ghost rows have already been sent to their owners.
@@ -256,7 +260,10 @@ def assemble_matrix(
     if _is_square(a):
         owned = A.index_map(0).size_local
         diagonal = _diagonal_positions(A)
-        _unreached[A] = np.flatnonzero(_inactive_marks(a, reached)[:owned])
+        unreached = _inactive_marks(a, reached)[:owned]
+        if fill is not None:
+            unreached |= fill & ~_reached_by_values(A)[:owned] & (fixed[0][:owned] == 0)
+        _unreached[A] = np.flatnonzero(unreached)
         A.data[diagonal[_unreached[A]]] = 1.0
         A.data[diagonal[fixed[0][:owned] > 0]] = diag
     return A
@@ -384,8 +391,9 @@ def _marks(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[
 
 def _reached_by_values(A: la.MatrixCSR) -> npt.NDArray[np.bool_]:
     """Return ``(n_rows,)`` whether a local row, ghosts included, has a nonzero entry."""
-    counts = np.concatenate([[0], np.cumsum(A.data != 0.0)])
-    return np.diff(counts[A.indptr]) > 0
+    reached = np.zeros(len(A.indptr) - 1, dtype=np.bool_)
+    loops.mark_rows(A.indptr, A.data, reached)
+    return reached
 
 
 def _inactive_marks(a: Form, reached: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.bool_]:

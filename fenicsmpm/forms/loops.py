@@ -315,6 +315,16 @@ def add_facet_matrices(
 
 
 @njit
+def mark_rows(indptr, data, result):
+    """Mark the rows of a CSR matrix that have an entry other than zero."""
+    for row in range(len(result)):
+        for k in range(indptr[row], indptr[row + 1]):
+            if data[k] != 0.0:
+                result[row] = True
+                break
+
+
+@njit
 def add_rows(from_indptr, from_columns, values, indptr, indices, data):
     """Add the first rows of one CSR matrix to those of another whose pattern contains them."""
     for row in range(len(from_indptr) - 1):

@@ -102,6 +102,7 @@ def assemble_matrix(
     bcs: Sequence[fem.DirichletBC] = (),
     diag: float = 1.0,
     A: PETSc.Mat | None = None,
+    fill: npt.NDArray[np.bool_] | None = None,
 ) -> PETSc.Mat:
     """Assemble a form of rank 2 (collective); see ``fenicsmpm.forms.assemble_matrix``.
 
@@ -110,6 +111,7 @@ def assemble_matrix(
         bcs: Dirichlet conditions.
         diag: diagonal entry of constrained degrees of freedom.
         A: matrix to overwrite, from ``create_matrix``. None for a new one.
+        fill: mask of rows that also get a row of the identity if all their entries are zero.
 
     Returns:
         The assembled matrix.
@@ -119,7 +121,7 @@ def assemble_matrix(
         ValueError: if the form has another rank, or the matrix was created for another form.
     """
     A = create_matrix(a) if A is None else A
-    work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a, A))
+    work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a, A), fill)
     owned = work.index_map(0).size_local
     indptr = work.indptr[: owned + 1].astype(PETSc.IntType)
     A.setValuesCSR(indptr, _global_columns(work), work.data[: indptr[-1]])
@@ -142,7 +144,7 @@ def inactive_dofs(a: Form, A: PETSc.Mat) -> npt.NDArray[np.int32]:
 
 
 def unreached_rows(A: PETSc.Mat) -> npt.NDArray[np.int64]:
-    """Return the owned local rows that no integral reached and that are rows of the identity.
+    """Return the owned local rows of the identity, which no integral reached, or only zeros.
 
     Constrained rows may be among them.
 

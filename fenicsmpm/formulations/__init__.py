@@ -9,6 +9,7 @@ from fenicsmpm.formulations.boundary import (
     penalty_dirichlet,
     set_normals,
 )
+from fenicsmpm.formulations.contact import contact, contact_traction
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
 from fenicsmpm.formulations.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
 from fenicsmpm.formulations.ghost_penalty import ghost_mass, ghost_penalty
@@ -36,8 +37,9 @@ from fenicsmpm.formulations.stabilization import (
     stabilized,
 )
 from fenicsmpm.formulations.stabilization_parameters import element_size, tau
+from fenicsmpm.formulations.surface_gap import SurfaceGap
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
-from fenicsmpm.formulations.unknown import Condition, Part, Unknown
+from fenicsmpm.formulations.unknown import Condition, Part, Unknown, coupled_unknowns
 from fenicsmpm.formulations.walls import wall
 
 __all__ = [
@@ -60,10 +62,14 @@ __all__ = [
     "Part",
     "QuasiStatic",
     "Response",
+    "SurfaceGap",
     "TimeScheme",
     "Unknown",
     "asgs",
     "body_force",
+    "contact",
+    "contact_traction",
+    "coupled_unknowns",
     "dead_load",
     "default_fbar",
     "density",

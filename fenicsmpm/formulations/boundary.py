@@ -21,6 +21,7 @@ from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.of_position import OfPosition, vectors_at
+from fenicsmpm.points.point_field import PointField
 
 
 def dead_load(w: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
@@ -239,13 +240,24 @@ def _gap(u: Any, points: MaterialPoints, value: Any) -> Any:
     return gap if value is None else gap - _vector(value, points, "a displacement")
 
 
-def _moved_area(u: Any, points: MaterialPoints) -> Any:
-    """Outer normal after a motion u times the ratio of areas, by Nanson's formula [-]."""
+def carried_normal(points: MaterialPoints) -> PointField:
+    """Field "normal" of boundary points, see ``set_normals``; loops renew it by Nanson's formula.
+
+    Args:
+        points: boundary points.
+
+    Raises:
+        ValueError: for points without normals.
+    """
     if "normal" not in points:
         raise ValueError("boundary points without normals: call set_normals(points, normals) first")
     normal = points.field("normal")
-    normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
-    return ufl.dot(Kinematics(u, points).cofactor(), normal)
+    return normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
+
+
+def _moved_area(u: Any, points: MaterialPoints) -> Any:
+    """Outer normal after a motion u times the ratio of areas, by Nanson's formula [-]."""
+    return ufl.dot(Kinematics(u, points).cofactor(), carried_normal(points))
 
 
 def require_points(points: MaterialPoints, what: str) -> None:

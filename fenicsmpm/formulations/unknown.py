@@ -108,26 +108,25 @@ class Unknown(Described):
 
     def __init__(self, over: Any, *parts: str | Part, degree: int = 1) -> None:
         """Create spaces and functions (collective)."""
-        self.parts = tuple(
-            _by_name(part, degree) if isinstance(part, str) else part for part in parts
-        )
+        own = _with_roles(parts, degree)
+        U = over if isinstance(over, fem.Function) else _function_of(over, own)
+        _check_shapes(U, own)
+        self._take(U, ufl.TestFunction(U.function_space), own)
+
+    def _take(
+        self, U: fem.Function, V: ufl.Argument, parts: Sequence[Part], first: int = 0
+    ) -> None:
+        """Use the parts of a function from the first one on (collective)."""
+        self.parts = tuple(parts)
+        self.U, self.V, self.space, self.mesh = U, V, U.function_space, U.function_space.mesh
         names = [part.name for part in self.parts]
-        self._check_names(names)
-        if isinstance(over, fem.Function):
-            self.U, self.space = over, over.function_space
-        else:
-            self.space = fem.functionspace(over, _element(over, self.parts))
-            self.U = fem.Function(self.space, name="_".join(names))
-        self.mesh = self.space.mesh
-        self.V = ufl.TestFunction(self.space)
-        is_mixed = self.space.num_sub_spaces > 0 and self.space.dofmap.index_map_bs == 1
-        split = [f if is_mixed else (f,) for f in (self.U, self.V)]
+        is_mixed, own = _is_mixed(self.space), slice(first, first + len(names))
+        split = [ufl.split(f)[own] if is_mixed else (f,) for f in (U, V)]
+        subs = [self.space]
         if is_mixed:
-            split = [ufl.split(f) for f in (self.U, self.V)]
-        self._check_shapes([part.ufl_shape for part in split[0]])
+            subs = [self.space.sub(first + i) for i in range(len(names))]
         self._values = dict(zip(names, split[0], strict=True))
         self.test = SimpleNamespace(**dict(zip(names, split[1], strict=True)))
-        subs = [self.space.sub(i) for i in range(len(names))] if is_mixed else [self.space]
         self._subspaces = dict(zip(names, subs, strict=True))
         self._collapsed = {name: _collapsed(sub, is_mixed) for name, sub in self._subspaces.items()}
         histories = [part.name for part in self.parts if part.role == "history"]
@@ -294,28 +293,6 @@ class Unknown(Described):
         for condition in self.conditions:
             condition.set(start, end)
 
-    def _check_names(self, names: Sequence[str]) -> None:
-        if not names:
-            raise ValueError('an unknown needs parts, such as Unknown(mesh, "u", "p")')
-        taken = [name for name in names if hasattr(type(self), name) or names.count(name) > 1]
-        taken += sorted(_ATTRIBUTES.intersection(names))
-        if taken:
-            raise ValueError(f"the name {taken[0]!r} of a part is taken: choose another one")
-        moving = [part.name for part in self.parts if part.role == "moves"]
-        if len(moving) > 1:
-            raise ValueError(
-                f"the parts {' and '.join(moving)} would both move the points, but only one can: "
-                'give the others role="history" or "grid"'
-            )
-
-    def _check_shapes(self, shapes: Sequence[tuple[int, ...]]) -> None:
-        dim = self.mesh.geometry.dim
-        wanted = [(dim,) if part.is_vector else () for part in self.parts]
-        if list(shapes) != wanted:
-            raise ValueError(
-                f"the function has parts of shapes {list(shapes)}, but {self!r} needs {wanted}"
-            )
-
     def _facts(self) -> Facts:
         facts = []
         for part in self.parts:
@@ -328,11 +305,43 @@ class Unknown(Described):
 
     def __repr__(self) -> str:
         """Names, shapes and roles of the parts."""
-        described = [
-            f"{part.name} ({'vector' if part.is_vector else 'scalar'}, {part.role})"
-            for part in self.parts
-        ]
-        return f"Unknown({', '.join(described)})"
+        return f"Unknown({_described(self.parts)})"
+
+
+def coupled_unknowns(
+    mesh: Any, *parts: Sequence[str | Part], degree: int = 1
+) -> tuple[Unknown, ...]:
+    """One unknown for each of several bodies on one mesh, which are solved for together.
+
+    So bodies that see the same nodes move independently, but for what is between them, such as
+    ``contact``. Each has its own parts, test functions and conditions; U, V and the space are those
+    of all together.
+
+    Args:
+        mesh: background mesh.
+        parts: of each unknown, names or ``Part``s, such as ``("u", "p"), ("u",)``.
+        degree: of the Lagrange functions of parts given by their names.
+
+    Returns:
+        The unknowns, in the same order.
+
+    Raises:
+        ValueError: for less than two, a name instead of a sequence of parts, and as ``Unknown``.
+    """
+    if len(parts) < 2 or any(isinstance(own, str) for own in parts):
+        raise ValueError(
+            'give the parts of two unknowns or more: coupled_unknowns(mesh, ("u", "p"), ("u",))'
+        )
+    of_each = [_with_roles(own, degree) for own in parts]
+    together = [part for own in of_each for part in own]
+    U = _function_of(mesh, together)
+    V, unknowns, first = ufl.TestFunction(U.function_space), [], 0
+    for own in of_each:
+        unknown = object.__new__(Unknown)
+        unknown._take(U, V, own, first)
+        unknowns.append(unknown)
+        first += len(own)
+    return tuple(unknowns)
 
 
 class Condition:
@@ -341,6 +350,7 @@ class Condition:
     Attributes:
         bc: Dirichlet condition of dolfinx.
         part: name of the part.
+        unknown: the unknown that has the part.
         size: number of components of the part.
         depends_on_time: whether the value is a function of time.
     """
@@ -352,6 +362,7 @@ class Condition:
         unknown.require(part, of="a Dirichlet condition")
         self.part, self._is_motion = part, part == unknown.moving
         self._is_set = False
+        self.unknown = unknown
         self.size = len(unknown._values[part].ufl_shape) * unknown.mesh.geometry.dim or 1
         sub = unknown._subspaces[part]
         if component is not None:
@@ -495,6 +506,53 @@ def _by_name(name: str, degree: int) -> Part:
     role = {"u": "moves", "v": "grid"}.get(name, "history")
     # The pressure of a step is the initial guess for the next one, so its start value may be zero.
     return Part(name, name in ("u", "v"), role, degree, initial=0.0 if name == "p" else None)
+
+
+def _with_roles(parts: Sequence[str | Part], degree: int) -> tuple[Part, ...]:
+    """Parts whose names can be those of one unknown."""
+    result = tuple(_by_name(part, degree) if isinstance(part, str) else part for part in parts)
+    names = [part.name for part in result]
+    if not names:
+        raise ValueError('an unknown needs parts, such as Unknown(mesh, "u", "p")')
+    taken = [name for name in names if hasattr(Unknown, name) or names.count(name) > 1]
+    taken += sorted(_ATTRIBUTES.intersection(names))
+    if taken:
+        raise ValueError(f"the name {taken[0]!r} of a part is taken: choose another one")
+    moving = [part.name for part in result if part.role == "moves"]
+    if len(moving) > 1:
+        raise ValueError(
+            f"the parts {' and '.join(moving)} would both move the points, but only one can: give "
+            'the others role="history" or "grid". Bodies that move independently have unknowns of '
+            "their own: coupled_unknowns"
+        )
+    return result
+
+
+def _is_mixed(space: fem.FunctionSpace) -> bool:
+    return space.num_sub_spaces > 0 and space.dofmap.index_map_bs == 1
+
+
+def _check_shapes(U: fem.Function, parts: Sequence[Part]) -> None:
+    """Raise ValueError for a function with other parts."""
+    dim = U.function_space.mesh.geometry.dim
+    split = ufl.split(U) if _is_mixed(U.function_space) else (U,)
+    shapes = [part.ufl_shape for part in split]
+    wanted = [(dim,) if part.is_vector else () for part in parts]
+    if shapes != wanted:
+        raise ValueError(
+            f"the function has parts of shapes {shapes}, but Unknown({_described(parts)}) needs "
+            f"{wanted}"
+        )
+
+
+def _described(parts: Sequence[Part]) -> str:
+    return ", ".join(f"{p.name} ({'vector' if p.is_vector else 'scalar'}, {p.role})" for p in parts)
+
+
+def _function_of(mesh: Any, parts: Sequence[Part]) -> fem.Function:
+    """A new function of parts on a mesh (collective)."""
+    name = "_".join(part.name for part in parts)
+    return fem.Function(fem.functionspace(mesh, _element(mesh, parts)), name=name)
 
 
 def _element(mesh: Any, parts: Sequence[Part]) -> Any:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import ufl
 
 from fenicsmpm.formulations.boundary import modulus_of, motion_of, require_points
+from fenicsmpm.formulations.friction import checked_friction, elastic_slip
 from fenicsmpm.formulations.rigid_gap import RigidGap
 from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.formulations.unknown import Unknown
@@ -79,9 +79,7 @@ def wall(
         def gap(u: Any) -> Callable[[Any], Any]:
             return distance
 
-    friction = 0.0 if friction is None else friction
-    if not 0 <= friction < np.inf:
-        raise ValueError(f"a coefficient of friction is finite and not negative: {friction}")
+    friction = checked_friction(0.0 if friction is None else friction)
     if friction > 0 and two_sided:
         raise ValueError("friction needs a pressure: a wall that also pulls has none")
     now = gap(u)
@@ -93,7 +91,8 @@ def wall(
 
         def slip(u: Any, d: Any) -> Any:
             way = u - d.way if isinstance(d, RigidGap) else u
-            return _slip(points, way, friction, *_depth(points, u, d, two_sided))
+            depth, normal = _depth(points, u, d, two_sided)
+            return elastic_slip(points.field("slip"), way, normal, friction * depth)
 
         points.field("slip").renew(lambda k: slip(k.u, gap(k.u)))
         give_way -= slip(u, now)
@@ -122,15 +121,3 @@ def _depth(
     if d.ufl_shape != ():
         raise ValueError(f"a distance is a scalar, but has the shape {d.ufl_shape}")
     return -d if two_sided else ufl.conditional(d < 0, -d, 0.0), ufl.diff(d, place)
-
-
-def _slip(points: MaterialPoints, u: Any, friction: float, depth: Any, normal: Any) -> Any:
-    """Elastic part of the way u along the wall, at most as long as friction lets."""
-    trial = points.field("slip") + u
-    trial -= ufl.dot(trial, normal) * normal
-    length = ufl.sqrt(ufl.inner(trial, trial) + (_SMALL * element_size(points)) ** 2)
-    limit = friction * depth
-    return ufl.conditional(length < limit, 1.0, limit / length) * trial
-
-
-_SMALL = 1e-12  # of a cell: a length that is never zero has a derivative

@@ -84,9 +84,11 @@ class ComputedField(PointField):
 
     Attributes:
         source: The object that computes the values, such as a law; None if nobody needs to know.
+        inputs: Fields from which they are computed, if a time loop has to update these.
     """
 
     source: Any = None
+    inputs: tuple[PointField, ...] = ()
 
     def __init__(
         self,

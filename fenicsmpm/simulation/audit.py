@@ -105,6 +105,8 @@ class Audit(Observer):
         self._mass = PETSc.Mat()
         if isinstance(sim, ExplicitMPM):
             return
+        if len(sim.schemes) > 1:
+            raise ValueError("an audit is of one unknown, not of coupled ones: there are no sums")
         space = sim.scheme.histories["v"].function_space
         self._effective = EffectiveProjection(sim.bodies, space, sim.scheme.lumping)
         points = _compat.interpolation_points(space)

@@ -9,7 +9,12 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm.cells.weight_correction import filled_fractions
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
+
+# Volumes of points of both bodies per volume of a cell in which they overlap
+_BOTH = 1.75
 
 
 class Contact:
@@ -112,3 +117,25 @@ def share_velocities(
                 "too"
             )
     return [[bodies[k] for k in range(len(bodies)) if group[k] == g] for g in sorted({*group})]
+
+
+def require_apart(contacts: Sequence[Contact]) -> None:
+    """Raise ValueError, on all ranks, for bodies in contact that are in each other (collective).
+
+    A cell that is nearly full of both shows that they overlap by about a cell or more. Less may be
+    wanted, to begin with a pressure.
+
+    Args:
+        contacts: between bodies.
+    """
+    for contact in contacts:
+        first, second = filled_fractions(contact.first), filled_fractions(contact.second)
+        full = np.flatnonzero((np.minimum(first, second) > 0.5) & (first + second > _BOTH))
+        error = None
+        if len(full):
+            centre = contact.first.geometry.corners(full[:1].astype(np.int32))[0].mean(axis=0)
+            error = ValueError(
+                f"bodies in contact overlap by a cell or more: the one at {centre} is filled to "
+                f"{first[full[0]]:.2f} and {second[full[0]]:.2f} by them; move them apart"
+            )
+        raise_together(contact.first.mesh.comm, error)

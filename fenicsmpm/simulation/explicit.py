@@ -28,7 +28,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.rigid import RigidBody
-from fenicsmpm.simulation.contact import Contact
+from fenicsmpm.simulation.contact import Contact, require_apart
 from fenicsmpm.simulation.description import facts_of_bodies
 from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
@@ -44,11 +44,15 @@ from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.residual import Residual
 from fenicsmpm.simulation.rigid_state import memory_of, remember, slip_on
 from fenicsmpm.simulation.step import Step
+from fenicsmpm.simulation.torn_off import TornOff
 from fenicsmpm.simulation.unstable import UnstableError
 from fenicsmpm.solvers.checks import check_bcs, require_points
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
+
+# Steps after which carried points are looked at, which may bring all points up to date
+_LOOK = 100
 
 
 class ExplicitMPM(Described):
@@ -110,7 +114,8 @@ class ExplicitMPM(Described):
         TypeError: If R is no form.
         ValueError: For a residual of another rank, with unknowns, or on another space or mesh;
             points without their fields; options out of range; contacts of point sets that are no
-            body, or that bodies cannot have all at once; no dt for bodies without a law.
+            body, that bodies cannot have all at once, or of bodies that overlap by a cell or more;
+            no dt for bodies without a law.
     """
 
     def __init__(
@@ -176,7 +181,10 @@ class ExplicitMPM(Described):
         self.dt = dt or 1.0
         self.duration = fem.Constant(V.mesh, self.dt)
         self._way: OnLattice | ByForms = way(self, self._all_updates(R, updates or {}))
+        require_apart(self.contacts)
         self.dt = self._step_length()
+        self._torn_off, self._next_look = TornOff(self.bodies, self.carried), _LOOK
+        self._torn_off.look(self.time)
         self._observers = Observers(observers)
         self._observers.call("start", self)
 
@@ -186,7 +194,7 @@ class ExplicitMPM(Described):
         """Return updates defined by fields of the residual, and the user's updates."""
         moving = [*self.bodies, *self.carried]
         check_updates(updates, moving)
-        found = renewals(R, moving, self.duration * self.velocity)
+        found = renewals(R, dict.fromkeys(moving, self.duration * self.velocity))
         return {
             points: {**found[points], **updates.get(points, {})}
             for points in moving
@@ -317,6 +325,9 @@ class ExplicitMPM(Described):
 
     def _done(self, removed: int) -> Step:
         """Return the last step, after observers have seen it."""
+        if self.number >= self._next_look:
+            self._torn_off.look(self.time)
+            self._next_look = self.number + _LOOK
         step = Step(self.number, self.time, self.dt, removed=removed)
         self._observers.done(self, step)
         return step

@@ -20,29 +20,25 @@ from fenicsmpm._display import Described, Facts
 from fenicsmpm.cells import Tying
 from fenicsmpm.forms import FieldUpdates, PointExpression
 from fenicsmpm.formulations import Kinematics
+from fenicsmpm.formulations.contact import SLIP
 from fenicsmpm.formulations.lumped_projection import all_coefficients
 from fenicsmpm.formulations.time_scheme import TimeScheme, check_time_step
-from fenicsmpm.formulations.unknown import Part, Unknown
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.point_field import ComputedField
 from fenicsmpm.simulation.description import facts_of_bodies
+from fenicsmpm.simulation.motion import memory_of_schemes, motions_of, remember_schemes
 from fenicsmpm.simulation.observer import Observers, Watcher
 from fenicsmpm.simulation.parameters import of_points, of_residual
 from fenicsmpm.simulation.renewals import check_updates, renewals
 from fenicsmpm.simulation.rigid_state import memory_of, remember, rigid_bodies_in
 from fenicsmpm.simulation.step import Step
-from fenicsmpm.solvers import (
-    EffectiveProjection,
-    LinearSolver,
-    NewtonError,
-    NewtonResult,
-    NewtonSolver,
-)
-from fenicsmpm.solvers.checks import require_fields, require_points, warn_of_points_that_stay
+from fenicsmpm.simulation.torn_off import TornOff
+from fenicsmpm.solvers import LinearSolver, NewtonError, NewtonResult, NewtonSolver
+from fenicsmpm.solvers.checks import require_points, warn_of_points_that_stay
 from fenicsmpm.solvers.stopwatch import Stopwatch
-from fenicsmpm.transfer import project
 
 logger = logging.getLogger(__name__)
 
@@ -61,11 +57,13 @@ class ImplicitMPM(Described):
         R: Residual, with inertia from the scheme.
         unknown: Unknown of the residual, with a part that moves the points. Fields of the points
             are mapped to ``unknown.old`` at the beginning of a step. The conditions of the unknown
-            are set for each step.
-        scheme: Time scheme of the same unknown.
-        bodies: Material points with the fields of ``set_initial_state``.
+            are set for each step. Bodies in contact have several ``coupled_unknowns``.
+        scheme: Time scheme of the same unknown; with several unknowns one for each, all of one
+            kind.
+        bodies: Material points with the fields of ``set_initial_state``; with several unknowns a
+            body or a sequence of bodies for each.
         carried: Further points that move with the grid, such as those that carry loads. Each set
-            gets a field "u" if it has none.
+            gets a field "u" if it has none. With several unknowns a sequence for each.
         bcs: Further Dirichlet conditions of dolfinx. Their displacement is ``scheme.share`` times
             the step's increment (1 except for ``GeneralizedAlpha``). ``data`` updates those that
             change in time.
@@ -85,11 +83,16 @@ class ImplicitMPM(Described):
 
     Raises:
         ValueError: For a scheme of another unknown, no bodies, bodies without their fields or
-            without any points, a displacement on the boundary that is not a function of time,
-            updates of points or fields that do not exist, fields that are renewed twice, tied
-            nodes of other bodies, or an unknown value of ``on_exit``.
+            without any points, unknowns that are not coupled or differ in number from the other
+            arguments, points that move by two unknowns, a displacement on the boundary that is not
+            a function of time, updates of points or fields that do not exist, fields that are
+            renewed twice, tied nodes of other bodies, or an unknown value of ``on_exit``.
 
     Attributes:
+        unknowns: All unknowns, also if there is one.
+        schemes: All schemes, also if there is one.
+        unknown: The first unknown.
+        scheme: The first scheme.
         rigid: Rigid bodies in the residual.
         time: Time in s.
         number: Number of steps done.
@@ -101,11 +104,11 @@ class ImplicitMPM(Described):
     def __init__(
         self,
         R: ufl.Form,
-        unknown: Unknown,
-        scheme: TimeScheme,
-        bodies: MaterialPoints | Sequence[MaterialPoints],
+        unknown: Unknown | Sequence[Unknown],
+        scheme: TimeScheme | Sequence[TimeScheme],
+        bodies: MaterialPoints | Sequence[Any],
         *,
-        carried: Sequence[MaterialPoints] = (),
+        carried: Sequence[Any] = (),
         bcs: Sequence[fem.DirichletBC] = (),
         updates: Mapping[MaterialPoints, Mapping[str, Any]] | None = None,
         data: Callable[[float, float], None] | None = None,
@@ -115,21 +118,25 @@ class ImplicitMPM(Described):
         newton: Mapping[str, Any] | None = None,
     ) -> None:
         """Compile the residual, its tangent and the updates. Collective."""
-        self.unknown, self.scheme = unknown, scheme
-        self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
-        self.carried = list(carried)
-        if not self.bodies or scheme.unknown is not unknown:
-            raise ValueError("ImplicitMPM needs a body, and a time scheme of the same unknown")
+        tying: Tying | None = (newton or {}).get("tying")
+        self._motions = motions_of(unknown, scheme, bodies, carried, taylor, tying)
+        self.unknowns = [motion.unknown for motion in self._motions]
+        self.schemes = [motion.scheme for motion in self._motions]
+        self.unknown, self.scheme = self.unknowns[0], self.schemes[0]
+        self.bodies = [body for motion in self._motions for body in motion.bodies]
+        self.carried = [points for motion in self._motions for points in motion.carried]
         require_points(self.bodies)
         self.exits = Exits(on_exit)
-        self.data, self.taylor = data, taylor
+        self.data = data
         self._observers = Observers(observers)
         self.time, self.number = 0.0, 0
         self.seconds = Stopwatch()
-        self.next_dt = self._dt = float(scheme.dt.value)
-        _check_conditions(unknown)
-        self._fixed = unknown.bcs
-        self.newton = NewtonSolver(R, unknown.U, [*self._fixed, *bcs], **(newton or {}))
+        self.next_dt = self._dt = float(self.scheme.dt.value)
+        for z in self.unknowns:
+            _check_conditions(z)
+        self._fixed = [z.bcs for z in self.unknowns]
+        conditions = [bc for own in self._fixed for bc in own]
+        self.newton = NewtonSolver(R, self.unknown.U, [*conditions, *bcs], **(newton or {}))
         self._described = of_residual(R)
         self.rigid = rigid_bodies_in(R)
         self.laws: dict[MaterialPoints, Law] = {
@@ -137,73 +144,40 @@ class ImplicitMPM(Described):
             for field in all_coefficients(R)
             if isinstance(field, ComputedField) and isinstance(field.source, Law)
         }
-        self._histories = [part for part in unknown.parts if part.role == "history"]
-        dim = unknown.mesh.geometry.dim
-        tying = self.newton.tying
         if tying is not None and set(self.bodies) != set(tying.bodies):
             raise ValueError(
                 "the bodies of the simulation fill cells together, which decides on tied nodes: "
                 "give Tying all of them, and no other"
             )
-        assert unknown.moving is not None  # or there would be no scheme
-        self._moving_dofs = unknown.dofs(unknown.moving)
-        self._projection = None
-        mapped = [part.name for part in self._histories]
-        if scheme.lumping > 0:
-            mapped.append(unknown.moving)
-        if mapped:
-            unknown.require_linear("mapping by the lumped mass", *mapped)
-        if scheme.lumping < 1:
-            if taylor:
-                raise ValueError("taylor=True needs a scheme with the lumped mass: set lumping=1")
-            space = unknown.part_space(unknown.moving)
-            if tying is not None and tying.space is not space:
-                tying = Tying(space, tying.bodies, tying.cells, tying.threshold)
-            self._projection = EffectiveProjection(self.bodies, space, scheme.lumping, tying)
-        for body in self.bodies:
-            require_fields(body)
-            for part in self._histories:
-                _add_history(body, part, dim)
-            for name, function in scheme.histories.items():
-                if name not in body:
-                    body.add_field(name, function.ufl_shape)
-            for name, value in scheme.updates(body).items():
-                if name not in body:
-                    body.add_field(name, value.ufl_shape)
-            if taylor and "grad_v" not in body:
-                body.add_field("grad_v", (dim, dim))
-        for points in self.carried:
-            if "u" not in points:
-                points.add_field("u", (dim,))
         moving = [*self.bodies, *self.carried]
         self._volumes = [
-            PointExpression(Kinematics(scheme.u, body).j, body) for body in self.bodies
+            PointExpression(Kinematics(motion.scheme.u, body).j, body)
+            for motion in self._motions
+            for body in motion.bodies
         ]
         warn_of_points_that_stay(self.newton.R, moving)
         check_updates(updates or {}, moving)
-        renewed = renewals(R, moving, scheme.increment)
-        _check_times(renewed, scheme)
+        moved = {p: m for m in self._motions for p in [*m.bodies, *m.carried]}
+        renewed = renewals(R, {p: m.scheme.increment for p, m in moved.items()})
+        _check_times(renewed, self.scheme)
         self._updates = {
             points: FieldUpdates(
                 points,
-                self._new_fields(points) | renewed[points] | dict((updates or {}).get(points, {})),
+                motion.new_fields(points) | renewed[points] | dict((updates or {}).get(points, {})),
             )
-            for points in moving
+            for points, motion in moved.items()
         }
+        self._torn_off = [TornOff(motion.bodies, motion.carried) for motion in self._motions]
+        self._warn_of_torn_off()
         self._observers.call("start", self)
 
     # --- stages ------------------------------------------------------------------------------
 
     def map_to_grid(self) -> None:
         """Map fields to the grid: histories of the scheme by its mass, others by lumped mass."""
-        functions = {part.name: getattr(self.unknown.old, part.name) for part in self._histories}
-        if self._projection is None:
-            functions |= self.scheme.histories
-        else:
-            fixed = np.isin(self._moving_dofs, _compat.fixed_dofs(self.newton.bcs))
-            self._projection.project(self.scheme.histories, np.flatnonzero(fixed))
-        slopes = {"v": "grad_v"} if self.taylor else {}
-        project(self.bodies, functions, gradients=slopes)
+        fixed = _compat.fixed_dofs(self.newton.bcs)
+        for motion in self._motions:
+            motion.map_to_grid(fixed)
 
     def predict(self) -> None:
         """Set the start of Newton's method from the histories, and continue the present motion.
@@ -211,14 +185,14 @@ class ImplicitMPM(Described):
         Where nodes have little mass, this may turn cells inside out. Newton's method then starts
         without motion.
         """
-        z = self.unknown
-        x = z.U.x.array
-        for part in z.parts:
-            history = part.role == "history"
-            x[z.dofs(part.name)] = getattr(z.old, part.name).x.array if history else 0.0
-        dofs = self._moving_dofs
-        for guess in (*self.scheme.predictions(), 0.0):
-            x[dofs] = guess
+        x = self.unknown.U.x.array
+        for motion in self._motions:
+            motion.start_from_histories()
+        # schemes of one kind have as many guesses
+        guesses = zip(*(motion.scheme.predictions() for motion in self._motions), strict=True)
+        for guess in (*guesses, (0.0,) * len(self._motions)):
+            for motion, values in zip(self._motions, guess, strict=True):
+                x[motion.dofs] = values
             for bc in self.newton.bcs:
                 _compat.bc_set(bc, x, None, 1.0)
             if self._least_stretch() > 0.5:
@@ -285,11 +259,12 @@ class ImplicitMPM(Described):
         before, old_dt = self._snapshot(), float(self.scheme.dt.value)
         clock = self.seconds
         try:
-            self.scheme.dt.value = dt
+            self._set_length(dt)
             if self.number == 0:
                 self._start()
             self._set_data(self.scheme.share * dt)
-            self.scheme.begin()
+            for scheme in self.schemes:
+                scheme.begin()
             self._observers.call("begin", self)
             with clock("map"):
                 self.map_to_grid()
@@ -304,16 +279,18 @@ class ImplicitMPM(Described):
                 removed = self.convect(new)
         except BaseException:
             self._restore(before)
-            self.scheme.dt.value = old_dt
+            self._set_length(old_dt)
             raise
         for name, seconds in result.seconds.items():
             clock.add(name, seconds)
-        self.scheme.end()
+        for scheme in self.schemes:
+            scheme.end()
         for body in self.rigid:
             body.carry(self.time, self.time + dt)
             body.settle()
         self.time += dt
         self.number += 1
+        self._warn_of_torn_off()
         step = Step(self.number, self.time, dt, result, removed=removed)
         with clock("observers"):
             self._observers.done(self, step)
@@ -399,15 +376,23 @@ class ImplicitMPM(Described):
     def memory(self) -> dict[str, float]:
         """Numbers that the next step depends on, in addition to the points, for checkpoints."""
         dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt, "longest": self._dt}
-        return {**dt, **self.scheme.memory, **memory_of(self.rigid)}
+        return {**dt, **memory_of_schemes(self._motions), **memory_of(self.rigid)}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
         rest = dict(values)
-        self.scheme.dt.value, self.next_dt = rest.pop("dt"), rest.pop("next_dt")
-        self._dt = rest.pop("longest")
+        self._set_length(rest.pop("dt"))
+        self.next_dt, self._dt = rest.pop("next_dt"), rest.pop("longest")
         remember(self.rigid, rest)
-        self.scheme.memory = rest
+        remember_schemes(self._motions, rest)
+
+    def _warn_of_torn_off(self) -> None:
+        for torn_off in self._torn_off:
+            torn_off.look(self.time)
+
+    def _set_length(self, dt: float) -> None:
+        for scheme in self.schemes:
+            scheme.dt.value = dt
 
     def _snapshot(self) -> Any:
         sets = [
@@ -423,8 +408,9 @@ class ImplicitMPM(Described):
 
     def _set_data(self, length: float) -> None:
         """Set boundary values and the user's data for a motion of some length in s."""
-        self.unknown.require_conditions(self._fixed)
-        self.unknown.set_conditions(self.time, self.time + length)
+        for z, known in zip(self.unknowns, self._fixed, strict=True):
+            z.require_conditions(known)
+            z.set_conditions(self.time, self.time + length)
         for body in self.rigid:
             body.carry(self.time, self.time + length)
         if self.data is not None:
@@ -437,11 +423,12 @@ class ImplicitMPM(Described):
         the usual length: if dt is far less than the time that shear waves take through a cell,
         tau_1 does not fit the problem.
         """
-        scheme = self.scheme
-        if not hasattr(scheme, "start_up"):
+        schemes: Sequence[Any] = self.schemes
+        if not hasattr(schemes[0], "start_up"):
             return
-        self._set_data(float(scheme.dt.value))
-        scheme.start_up(True)
+        self._set_data(float(schemes[0].dt.value))
+        for scheme in schemes:
+            scheme.start_up(True)
         try:
             self.map_to_grid()
             self.predict()
@@ -450,25 +437,8 @@ class ImplicitMPM(Described):
                 new = self._updates[body].evaluate()
                 body.assign({name: new[name] for name in ("a", "p") if name in new})
         finally:
-            scheme.start_up(False)
-
-    def _new_fields(self, points: MaterialPoints) -> dict[str, Any]:
-        """Return the fields that bodies and carried points get in each step of any residual."""
-        increment = self.scheme.increment
-        fields = {"x": increment}  # to be added to positions and displacements
-        if points in self.bodies:
-            k = Kinematics(increment, points)
-            fields |= {"F": k.F, "J": k.J}
-            for part in self._histories:
-                change = self.scheme.change(part.name)
-                new = getattr(self.unknown.old, part.name) + change
-                if part.flip > 0:
-                    new = part.flip * (points.field(part.name) + change) + (1 - part.flip) * new
-                fields[part.name] = new
-            fields |= self.scheme.updates(points)
-            if self.taylor:
-                fields["grad_v"] = k.grad(self.scheme.grid_velocity())
-        return fields
+            for scheme in schemes:
+                scheme.start_up(False)
 
     def _facts(self) -> Facts:
         dofs = self.unknown.space.dofmap
@@ -477,8 +447,8 @@ class ImplicitMPM(Described):
             ("time", f"{self.time:g} s"),
             ("steps done", str(self.number)),
             *facts_of_bodies(self.bodies, self.laws, self.carried, self.rigid),
-            ("unknown", f"{self.unknown!r}, {n} degrees of freedom"),
-            ("scheme", repr(self.scheme)),
+            ("unknown", f"{', '.join(map(repr, self.unknowns))}, {n} degrees of freedom"),
+            ("scheme", ", ".join(map(repr, self.schemes))),
             ("linear solver", repr(self.linear)),
             ("time spent", str(self.seconds)),
         ]
@@ -498,6 +468,11 @@ def _check_times(renewed: Mapping[MaterialPoints, Mapping[str, Any]], scheme: Ti
             "GeneralizedAlpha cannot be used with a stress that has a state or depends on two "
             "configurations: its state belongs to the end of the step, but equations hold before"
         )
+    if scheme.share != 1 and any(n.startswith(SLIP) for fields in renewed.values() for n in fields):
+        raise ValueError(
+            "friction between bodies is found where equations hold, and its springs belong to the "
+            "end of the step: GeneralizedAlpha cannot be used with it, take Bossak"
+        )
 
 
 def _check_conditions(unknown: Unknown) -> None:
@@ -509,15 +484,3 @@ def _check_conditions(unknown: Unknown) -> None:
                 "on time would be added again in each step: give it as a function of time, such as "
                 'fix("u", where, lambda t: (0.1 * t, 0)); the loop takes its increments'
             )
-
-
-def _add_history(body: MaterialPoints, part: Part, dim: int) -> None:
-    """Add the field of a part of the unknown to a body, if that is possible."""
-    if part.name in body:
-        return
-    if part.initial is None:
-        raise ValueError(
-            f"a body lacks the field {part.name!r}, the history of a part of the unknown: call "
-            f"body.add_field({part.name!r}, shape, values), or give the Part an initial value"
-        )
-    body.add_field(part.name, (dim,) if part.is_vector else (), part.initial)

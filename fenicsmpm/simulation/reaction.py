@@ -53,8 +53,9 @@ class Reaction(Observer):
         residual = sim.newton.residual()
         held = _compat.bc_dofs(self._condition.bc)
         held = held[held < len(residual)]
-        places = sim.unknown.dofs(self._condition.part)
+        unknown = self._condition.unknown
+        places = unknown.dofs(self._condition.part)
         value = np.zeros(len(self.value))
         for c in range(len(value)):
             value[c] = residual[np.intersect1d(held, places[c :: len(value)])].sum()
-        self.value = sim.unknown.mesh.comm.allreduce(value)
+        self.value = unknown.mesh.comm.allreduce(value)

@@ -14,18 +14,18 @@ from ufl.core.expr import Expr
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.lumped_projection import all_coefficients
 from fenicsmpm.points import MaterialPoints
-from fenicsmpm.points.point_field import PointField
+from fenicsmpm.points.point_field import ComputedField, PointField
 
 
 def renewals(
-    form: ufl.Form, moving: Sequence[MaterialPoints], increment: Any
+    form: ufl.Form, increments: Mapping[MaterialPoints, Any]
 ) -> dict[MaterialPoints, dict[str, Any]]:
     """Collect how the fields in a form are renewed, the fields in these new values, and so on.
 
     Args:
         form: Residual of a loop.
-        moving: The loop's bodies and carried points.
-        increment: Displacement increment of a step in m, UFL.
+        increments: Displacement increments of a step in m, UFL, by the loop's bodies and carried
+            points.
 
     Returns:
         New values for each of the moving point sets by the names of its fields: UFL over the
@@ -34,7 +34,7 @@ def renewals(
     Raises:
         ValueError: For a field that is renewed twice, or one of points that do not move.
     """
-    found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in moving}
+    found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in increments}
     said: dict[tuple[MaterialPoints, str], Any] = {}
     pending, seen = list(all_coefficients(form)), set()
     while pending:
@@ -42,6 +42,8 @@ def renewals(
         if not isinstance(field, PointField) or field in seen:
             continue
         seen.add(field)
+        if isinstance(field, ComputedField):
+            pending += field.inputs
         points = field.points
         if field.renewals and points not in found:
             raise ValueError(
@@ -57,7 +59,7 @@ def renewals(
             if name in found[points]:
                 continue
             if not isinstance(value, Expr) and inspect.signature(value).parameters:
-                value = value(Kinematics(increment, points))
+                value = value(Kinematics(increments[points], points))
             found[points][name] = value
             if isinstance(value, Expr):
                 pending += extract_coefficients(value)

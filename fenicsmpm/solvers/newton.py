@@ -43,6 +43,8 @@ _SMALL, _FAR = 1e-9, 1e3
 # If an iteration reduces the residual by this factor or more, the next tangent keeps the terms of
 # projections. These terms hardly change any more, and cost as much as the rest of the tangent.
 _LAST_CHANGES = 1e-3
+# Share of the work that a line search leaves, and residuals that it takes at most
+_HARDLY, _SEARCH = 0.1, 12
 
 
 class NewtonError(RuntimeError):
@@ -115,8 +117,9 @@ class NewtonSolver:
         keep_tangent: if an iteration reduces the residual to less than this fraction [-], the next
             iteration reuses the tangent. 0 is Newton's method. 0.01 saves assembly and
             factorization in steps so short that the first tangent suffices.
-        line_search: whether to halve a step until the residual decreases. A step with a residual
-            that is not finite is always halved.
+        line_search: whether to shorten steps that do not decrease the residual: to the length at
+            which the residual does no work on the step, if the step goes beyond that, and otherwise
+            by halving. A step with a residual that is not finite is always halved.
         tying: tied nodes with little mass, which are eliminated from the system. Residuals are then
             those of the remaining degrees of freedom.
         petsc_options: options of the linear solver; see ``LinearSolver``. Without options, the
@@ -329,7 +332,7 @@ class NewtonSolver:
         with self._step.localForm() as local:
             self._step.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
             step = local.array_r.copy()
-        length = 1.0
+        length, work = 1.0, self._work(step) if self.line_search else 0.0
         while True:
             self.U.x.array[:] = old - length * step
             if length == 1.0:  # errors of the linear solver must not look like new Dirichlet data
@@ -343,6 +346,9 @@ class NewtonSolver:
                 at_round_off = self._is_round_off(was_no_use=True)
             if good or at_round_off:
                 break
+            if self.line_search and np.isfinite(new) and self._work(step) < 0 < work:
+                length, new = self._length_without_work(old, step, length, work)
+                break
             length /= 2
             if length < 1e-3:
                 self.U.x.array[:] = old - step
@@ -355,6 +361,42 @@ class NewtonSolver:
         self._require_finite(new, result, f"in iteration {result.iterations + 1}")
         return new, length
 
+    def _work(self, step: npt.NDArray[np.float64]) -> float:
+        """Work of the residual in b on a step, without constrained entries (collective)."""
+        free = self._b.array_r.copy()
+        for bc in self.bcs:
+            _compat.bc_set(bc, free, np.zeros(len(free)), 0.0)
+        return self.J.mesh.comm.allreduce(float(free @ step[: len(free)]), MPI.SUM)
+
+    def _length_without_work(
+        self,
+        old: npt.NDArray[np.float64],
+        step: npt.NDArray[np.float64],
+        length: float,
+        work: float,
+    ) -> tuple[float, float]:
+        """Length at which the residual does hardly any work on the step, and its norm there.
+
+        The residual at ``length``, where the work is negative, is that in b. The sign of the work
+        shows that a step has gone too far also where its residual grows in any case, such as over
+        the corner between sticking and slipping (M. Crisfield, Non-linear Finite Element Analysis
+        of Solids and Structures 1, 1991, section 9.2). Method: regula falsi (Illinois).
+        """
+        low, high, at_low, at_high, before = 0.0, length, work, self._work(step), 0.0
+        for _ in range(_SEARCH):
+            length = (low * at_high - high * at_low) / (at_high - at_low)
+            self.U.x.array[:] = old - length * step
+            new, here = self._residual_norm(), self._work(step)
+            if abs(here) <= _HARDLY * work:
+                break
+            again = 0.5 if here * before > 0 else 1.0
+            if here > 0:
+                low, at_low, at_high = length, here, again * at_high
+            else:
+                high, at_high, at_low = length, here, again * at_low
+            before = here
+        return length, new
+
     def _tangent(self, projections_stay: bool = False) -> PETSc.Mat:
         """Assemble the tangent; if nodes are tied, also lift b.
 
@@ -363,9 +405,13 @@ class NewtonSolver:
         """
         with self._projected.held():
             self._projected.assemble(self.bcs, projections_stay)
+            # bodies that may touch, but do not, reach nodes with no more than zeros
+            idle = self._b.array_r == 0.0
             if self.tying is None:
-                return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A)
-            A = self.tying.reduce(forms.petsc.assemble_matrix(self.J, A=self._A), self._b)
+                return forms.petsc.assemble_matrix(self.J, self.bcs, A=self._A, fill=idle)
+            A = forms.petsc.assemble_matrix(self.J, A=self._A, fill=idle)
+            self.tying.leave_out(forms.petsc.unreached_rows(A))
+            A = self.tying.reduce(A, self._b)
             self._projected.lift(self._b)
             return A
 
