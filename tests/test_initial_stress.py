@@ -326,7 +326,9 @@ def test_column_that_conserves_energy():
     for _ in ImplicitMPM(R, z, time, body).run(1.0):
         pass
     assert_rest(body, stress(SOIL, body["F"]), 1e-12)
-    with pytest.raises(ValueError, match="EnergyMomentum already: call initial_stress before"):
+    with pytest.raises(
+        ValueError, match="already has the stress of an EnergyMomentum: call initial_stress before"
+    ):
         fm.initial_stress(body, SOIL, AT_REST)
 
 
@@ -431,7 +433,7 @@ def shear(i, j, value=1e3):
         ("none", "stresses must be numbers"),
         (np.eye(3) + np.triu(np.ones((3, 3)), 1), "must be symmetric: .* points are wrong, first"),
         (shear(0, 2), "no shear out of the plane, sigma_xz = sigma_yz = 0"),
-        (shear(0, 1, 2e5), r"VonMises\(.* cannot have the stress: it lies outside of the yield"),
+        (shear(0, 1, 2e5), r"VonMises\(.* cannot have the stress: it lies outside the yield"),
         (lambda x: np.zeros((2, 2, x.shape[1])), r"must return values of the shape \(3, 3, "),
         (lambda x: np.where(x[1] < 1, np.nan, 0.0) * np.ones((3, 3, 1)), "stresses must be finite"),
         (fm.k0_state(5.0, DENSITY, K0), "a point at .* m is above the surface at 5.0 m"),
@@ -463,7 +465,7 @@ def test_materials_that_cannot_have_a_stress():
     "arguments,message",
     [
         (([0.0, 1.0], [1e3, 1e3], 0.5), "from the surface downwards"),
-        (([1.0, 0.0], 1e3, 0.5), "a top, a density and a K0 each: 2, 1 and 1"),
+        (([1.0, 0.0], 1e3, 0.5), "a density and a K0, but 2, 1 and 1 values"),
         ((0.0, -1e3, 0.5), "densities must be positive"),
         ((0.0, 1e3, -0.5), "K0 not negative"),
         ((0.0, math.nan, 0.5), "densities of layers must be finite"),

@@ -399,7 +399,7 @@ def test_tangent(name, strain):
         (lambda: VonMises(1.0, 0.3, 1.0, sigma_r=0.1, eta=5.0), "steeper than the elastic"),
         (lambda: NewtonianFluid(0.0), "bulk modulus must be positive and finite: kappa = 0.0"),
         (lambda: NewtonianFluid(1.0, -1.0), "viscosity must be finite and not negative: mu = -1.0"),
-        (lambda: materials.stress(Hencky(1.0, 0.3), np.eye(3)), r"shape \(n, 3, 3\): \(3, 3\)"),
+        (lambda: materials.stress(Hencky(1.0, 0.3), np.eye(3)), r"shape \(n, 3, 3\), not \(3, 3\)"),
         (
             lambda: materials.stress(VonMises(1.0, 0.3, 1.0), [np.eye(3)], state=np.zeros((1, 2))),
             r"float64 of shape \(1, 11\)",

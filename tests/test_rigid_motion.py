@@ -185,15 +185,15 @@ BOX = shapes.Box((0, 0), (1, 1))
         (lambda: RigidBody(BOX, 0.1, velocity=(np.nan, 0)), "velocity .* must be finite"),
         (lambda: RigidBody(BOX, 0.1, velocity=(1, 0, 0)), r"velocity .* shape \(2,\)"),
         (lambda: RigidBody(BOX, 0.1, angular_velocity=(1, 0)), "angular velocity .* shape"),
-        (lambda: RigidBody(BOX, 0.1, gravity=(0, -9.81)), "gravity .* prescribed does nothing"),
+        (lambda: RigidBody(BOX, 0.1, gravity=(0, -9.81)), "gravity .* has no effect"),
         (lambda: Inertia(0.0, 1.0, (0, 0)), "positive finite mass"),
         (lambda: Inertia(1.0, -1.0, (0, 0)), "positive definite"),
         (lambda: Inertia(1.0, np.diag([1, 1, 0]), (0, 0, 0)), "positive definite"),
         (lambda: Inertia(1.0, np.diag([1, 1, 3]), (0, 0, 0)), "above the sum"),
         (lambda: Inertia(1.0, np.diag([1, 1]), (0, 0, 0)), r"tensor \(3, 3\)"),
         (lambda: Inertia(1.0, np.eye(3) + np.eye(3, k=1), (0, 0, 0)), "symmetric"),
-        (lambda: inertia_of(shapes.Box((0, 0), (1, np.inf)), 1.0), "without end"),
-        (lambda: inertia_of(BOX, 0.0), "density is positive"),
+        (lambda: inertia_of(shapes.Box((0, 0), (1, np.inf)), 1.0), "unbounded body has no inertia"),
+        (lambda: inertia_of(BOX, 0.0), "density must be positive"),
         (
             lambda: RigidBody(BOX, 0.1, inertia=inertia_of(BOX, 1.0), velocity=lambda t: (t, 0)),
             "not a function of time",
@@ -212,7 +212,7 @@ BOX = shapes.Box((0, 0), (1, 1))
             lambda: RigidBody(
                 shapes.SignedDistance(lambda x: x[0] ** 2 + x[1] ** 2 - 4, (-2, -2), (2, 2)), 0.1
             ),
-            "slope of a signed distance is 1",
+            "slope of a signed distance must be 1",
         ),
         (
             lambda: RigidBody(shapes.SignedDistance(lambda x: -disc(x), (0, 0), (1, 1)), 1e-4),

@@ -117,7 +117,7 @@ def test_orders_of_a_study(capsys, tmp_path):
     assert lines[-1].split() == ["0.1", "3.000e-02", "2.00", "3.162e-02", "1.50"]
     study.plot(tmp_path / "a" / "orders.png")
     assert (tmp_path / "a" / "orders.png").stat().st_size > 5000
-    with pytest.raises(ValueError, match="errors of q for u, p"):
+    with pytest.raises(ValueError, match="errors of u, p, not of q"):
         study.add(0.05, q=1.0)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How J is averaged against volumetric locking (F-bar, section 3)."""
+"""Averages of J against volumetric locking (F-bar, section 3)."""
 
 from __future__ import annotations
 
@@ -11,27 +11,29 @@ from fenicsmpm.materials import Law, bulk_to_shear
 
 @dataclass(frozen=True)
 class FBar:
-    """Averages of J by which stresses are found, ``F_bar = (J_bar / J)^(1/d) F``.
+    """Parameters of the averages of J for stresses, ``F_bar = (J_bar / J)^(1/d) F``.
 
-    ``J_bar <- Pi((1 - r) J_bar dJ + r J)`` with the volume average Pi over the grid (eqs. 19-21).
-    With r = 0 this is the paper's algorithm 1: what is averaged is averaged again in each step, so
-    that J_bar and J drift apart, and a body under constant load creeps. With r = 1 it is its
-    equation 18, an average of the true J only, less smooth. A small r keeps the smoothness, and
-    J_bar close to J.
+    The average is ``J_bar <- Pi((1 - r) J_bar dJ + r J)`` with the volume average Pi over the grid
+    (equations 19 to 21). With r = 0 this is algorithm 1 of the paper. It averages the averages
+    again in each step, so that J_bar and J drift apart, and a body under constant load creeps. With
+    r = 1 it is equation 18 of the paper, an average of the true J only, which is less smooth. A
+    small r preserves the smoothness and keeps J_bar close to J.
 
-    Averages are those of J / J_0, with J_0 when they began: a stress to begin with
-    (``initial_stress``) is not averaged, but its changes, and a body in equilibrium stays at rest.
+    The averages are those of J / J_0, where J_0 is the value of J when the averages began. An
+    initial stress (``initial_stress``) is therefore not averaged, only its changes are. A body in
+    equilibrium stays at rest.
 
-    Before each step, ``F <- (J* / J)^(1/d) F`` with ``J* = J + min(s e, 1) (J_bar - J)`` and the
-    norm e of the step's strain increment. It holds together the true J of neighbours where no
-    stress does, in fluids and plastic flow; what is at rest does not creep by it.
+    Before each step, ``F <- (J* / J)^(1/d) F`` with ``J* = J + min(s e, 1) (J_bar - J)``, where e
+    is the norm of the strain increment of the step. This keeps the true J of neighbours together if
+    no stress does so, as in fluids and in plastic flow. A body at rest does not creep because of
+    it.
 
-    Attributes:
-        r: share of the true J, 0 to 1.
-        s: share of the difference by which the true J is corrected, per strain.
+    Args:
+        r: share of the true J [-], 0 to 1.
+        s: share of the difference J_bar - J by which the true J is corrected, per strain [-].
 
     Raises:
-        ValueError: for shares out of range.
+        ValueError: if r lies outside [0, 1], or s is negative or not finite.
     """
 
     r: float = 0.03
@@ -41,7 +43,8 @@ class FBar:
         """Check the shares."""
         if not (0 <= self.r <= 1 and 0 <= self.s < math.inf):
             raise ValueError(
-                f"r of F-bar must lie in [0, 1], s be finite and not negative: {self.r}, {self.s}"
+                f"r of F-bar must lie in [0, 1], and s must be finite and not negative: r = "
+                f"{self.r}, s = {self.s}"
             )
 
 
@@ -49,19 +52,20 @@ ALGORITHM_1 = FBar(r=0.0)
 TRUE_J = FBar(r=1.0)
 
 
-# Bulk by shear modulus from which on elastic bodies lock: a Poisson's ratio of 0.475
+# Ratio of bulk to shear modulus above which elastic bodies lock, for a Poisson's ratio of 0.475
 _LOCKS = 20.0
 
 
 def default_fbar(law: Law) -> FBar | None:
-    """Averages that neither creep nor oscillate, for what flows or is nearly incompressible.
+    """Return averages that neither creep nor oscillate, or None for laws that do not lock.
 
-    A law that remembers something, such as plastic strain, is taken for one that flows. Elastic
-    laws whose bulk modulus is less than 20 shear moduli have none: they do not lock, and averages
-    would damp their waves and bend their stresses at walls.
+    Fluids get averages, and so do nearly incompressible elastic laws. Laws with a state, such as
+    plastic strain, are treated as laws that flow. Elastic laws with a bulk modulus below 20 shear
+    moduli get none: they do not lock, and averages would damp their waves and distort their
+    stresses at walls.
 
     Args:
-        law: constitutive law; one of one's own is asked for its moduli by small strains.
+        law: constitutive law. The ratio of its moduli is found by small strains.
     """
     if law.is_fluid or law.n_state > 0:
         return FBar(r=0.3, s=100.0)

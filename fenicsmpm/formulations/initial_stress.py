@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies that have a stress to begin with."""
+"""Initial stresses of a body."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fenicsmpm.points.of_position import OfPosition, values_at
 
 Array = npt.NDArray[np.float64]
 
-_SYMMETRIC = 1e-12  # difference of sigma_ij and sigma_ji by the largest component
+_SYMMETRIC = 1e-12  # difference of sigma_ij and sigma_ji relative to the largest component
 
 
 def initial_stress(
@@ -27,36 +27,38 @@ def initial_stress(
     material: Law | NeoHookean | NewtonianFlow | Callable[[Any], Any],
     sigma: npt.ArrayLike | OfPosition,
 ) -> None:
-    """Give a body the deformation at which it has a stress, as it lies there (collective).
+    """Give a body the deformation that corresponds to an initial stress (collective).
 
-    Volumes and masses stay what they are: they are those of the present. Each point gets the
-    symmetric deformation gradient "F" with this Cauchy stress (F33 too, in the plane), "J", and
-    V_0 = volume / J; the mean stress "p" if the material has it as an unknown; "J_bar", "sigma" and
-    a law's state where there are such fields, or will be. Call it after ``set_initial_state``, and
-    before ``EnergyMomentum`` and its like take the stress of the first step.
+    The current volumes and masses do not change. Each point gets the symmetric deformation gradient
+    "F" with this Cauchy stress (including F33 in plane problems), its determinant "J", and V_0 =
+    volume / J. If the pressure is an unknown of the material, the points get the mean stress "p".
+    The fields "J_bar" and "sigma" are updated if they exist, and the state of a law is added or
+    updated. Call this function after ``set_initial_state``, and before ``EnergyMomentum`` and
+    similar classes store the stress of the first step.
 
-    In equilibrium is a body whose stresses balance its weight as its points integrate both, see
+    A body is in equilibrium if its stresses balance its weight when its points integrate both; see
     "Initial stress" in docs/howto/soil.md.
 
     Args:
-        points: the body, with the fields of ``set_initial_state``. Where it has the state of a law,
-            such as a preconsolidation pressure, this is the state to begin with.
+        points: the body, with the fields of ``set_initial_state``. If it has the state of a law,
+            such as a preconsolidation pressure, this is the initial state.
         material: law at points; ``NeoHookean``, incompressible or not; ``NewtonianFlow``, which
-            gets the pressure only; or an energy per initial volume ``psi(F)`` [J/m^3] in UFL.
-        sigma: Cauchy stress [Pa], tension positive: ``(3, 3)`` for all points, in the plane too, as
-            sigma_zz matters; or a function as in dolfinx, from positions ``(3, n)`` [m] to stresses
-            ``(3, 3, n)``, such as ``k0_state``.
+            gets the pressure only; or a UFL energy per initial volume ``psi(F)`` [J/m^3].
+        sigma: Cauchy stress [Pa], positive in tension. Either ``(3, 3)`` for all points, also in
+            plane problems, as sigma_zz matters, or a function as in dolfinx, from positions
+            ``(3, n)`` [m] to stresses ``(3, 3, n)``, such as ``k0_state``.
 
     Raises:
-        ValueError: on all ranks, for a body without ``set_initial_state``, or with a stress that
-            conserves energy already; for stresses of another shape, not finite, not symmetric, or
-            with shear out of the plane in two dimensions; and for those that the material cannot
-            have, such as outside of the yield surface. The points are as before.
+        ValueError: on all ranks, if the body lacks the fields of ``set_initial_state`` or already
+            has an energy-conserving stress; if the stresses have a wrong shape, are not finite, are
+            not symmetric, or have out-of-plane shear in two dimensions; or if the material cannot
+            have them, for example outside the yield surface. The points are then unchanged.
     """
     require_initial_state(points, "initial stress")
     if "S" in points:
         raise ValueError(
-            "the body has the stress of an EnergyMomentum already: call initial_stress before"
+            "the body already has the stress of an EnergyMomentum: call initial_stress before "
+            "you create that"
         )
     comm = points.mesh.comm
     if not isinstance(material, Law | NeoHookean | NewtonianFlow):
@@ -66,7 +68,7 @@ def initial_stress(
     F, reached, state = _deformation(material, points, values)
     raise_together(comm, _unreachable(material, points, values, reached))
     if points.mesh.geometry.dim == 2:
-        # round-off out of the plane
+        # remove out-of-plane round-off
         F[:, 2, :2] = F[:, :2, 2] = 0.0
     J = np.linalg.det(F)
     new = {"F": F, "J": J, "V_0": points.weight / J, **state}
@@ -87,7 +89,7 @@ def initial_stress(
 def _stresses(
     sigma: npt.ArrayLike | OfPosition, points: MaterialPoints
 ) -> tuple[Exception | None, Array]:
-    """What is wrong with stresses, and these at the points ``(n, 3, 3)``."""
+    """Return an error if stresses are invalid, and the stresses at the points ``(n, 3, 3)``."""
     if callable(sigma):
         error, values = values_at(sigma, points.x, (3, 3))
         if error is not None:
@@ -99,8 +101,8 @@ def _stresses(
             return wrong, np.empty(0)
         if given.shape != (3, 3):
             return ValueError(
-                f"a stress of all points needs the shape (3, 3), not {given.shape}, in the plane "
-                "too; give a function of positions if they differ"
+                f"a stress of all points needs the shape (3, 3), not {given.shape}, also in the "
+                "plane; give a function of positions if stresses vary in space"
             ), given
         values = np.tile(given, (len(points), 1, 1))
     bad = np.flatnonzero(~np.isfinite(values).all(axis=(1, 2)))
@@ -124,7 +126,7 @@ def _stresses(
 def _deformation(
     material: Law | NeoHookean | NewtonianFlow, points: MaterialPoints, sigma: Array
 ) -> tuple[Array, npt.NDArray[np.bool_], dict[str, Array]]:
-    """F, whether the stress is reached, and fields of the state."""
+    """Return F, whether the stress can be reached, and the fields of the state."""
     if isinstance(material, NeoHookean):
         return *material.stretch_of(sigma), {}
     if isinstance(material, NewtonianFlow):
@@ -134,12 +136,12 @@ def _deformation(
     has_state = all(name in points for name in material.state)
     state = state_of(material, points) if has_state else material.initial_state(len(points))
     F, reached = stretch_of(material, sigma, state)
-    stress(material, F, None, state)  # what it remembers of this
+    stress(material, F, None, state)  # updates the state
     return F, reached, {k: material.state_field(state, k).copy() for k in material.state}
 
 
 def _row(law: Law, fields: dict[str, Array], n: int) -> Array:
-    """State of a law ``(n, n_state)`` from its fields."""
+    """Return the state of a law ``(n, n_state)`` from its fields."""
     state = law.initial_state(n)
     for name, values in fields.items():
         law.state_field(state, name)[...] = values
@@ -153,8 +155,8 @@ def _unreachable(
     if not len(bad):
         return None
     return _at(
-        points, bad, sigma, f"{material!r} cannot have the stress: it lies outside of the yield "
-        "surface, or in a direction in which the material does not resist at rest"
+        points, bad, sigma, f"{material!r} cannot have the stress: it lies outside the yield "
+        "surface, or has a component that the material does not resist at rest"
     )  # fmt: skip
 
 

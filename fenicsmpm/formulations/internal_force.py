@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Forces of explicit steps in UFL: integrals over the points where they are now.
+"""Forces of explicit steps in UFL, as integrals over the points at their current positions.
 
-An explicit step knows stresses and volumes at its beginning, so its internal force is a form of
-rank 1 whose integrand is linear in the test function w, and nothing has to be solved for:
+Stresses and volumes at the start of an explicit step are known. Therefore the internal force is a
+form of rank 1 whose integrand is linear in the test function w, and no system needs to be solved:
 ``m_I a_I = -R(N_I)``. References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric
 locking in explicit material point methods" (F-bar).
 """
@@ -28,16 +28,16 @@ Averages: TypeAlias = FBar | Literal["default"] | None
 
 
 class AveragedJ(PointField):
-    """Field "J_bar" of a body [-], which an explicit step renews by averages of J.
+    """Field "J_bar" of a body [-], which an explicit step updates by averages of J.
 
     Args:
-        points: the body, with the field "J"; "J_bar", and "J_0" from which it starts, are added if
-            missing, and are then J.
-        averages: how J is averaged; None for J itself.
+        points: the body, with the field "J". The fields "J_bar" and its initial value "J_0" are
+            added with the values of J if missing.
+        averages: how J is averaged. None for J itself.
     """
 
     def __init__(self, points: MaterialPoints, averages: FBar | None) -> None:
-        """Add the fields that are missing."""
+        """Add missing fields."""
         for name in ("J_bar", "J_0"):
             if name not in points:
                 points.add_field(name, (), points["J"])
@@ -46,26 +46,26 @@ class AveragedJ(PointField):
 
 
 class CauchyStress(PointField):
-    """Field "sigma" of a body [Pa], 3x3, which an explicit step renews by a law at points.
+    """Field "sigma" of a body ``(3, 3)`` [Pa], which an explicit step updates by a law at points.
 
     Args:
-        points: the body, with the fields of ``set_initial_state``. "sigma", "J_bar" and those of
-            the law's state are added if they are missing; the stress is then that of the present
+        points: the body, with the fields of ``set_initial_state``. The fields "sigma", "J_bar" and
+            those of the law's state are added if missing. The stress is then that of the current
             "F" and state.
         law: constitutive law, of which only the parameters may change later.
-        averages: how J is averaged; None for J itself.
+        averages: how J is averaged. None for J itself.
 
     Attributes:
         law: constitutive law.
         averages: how J is averaged, or None.
 
     Raises:
-        ValueError: for a body that has the stress of another law already, or fields of other shapes
-            under the names of the state.
+        ValueError: if the body lacks the fields of ``set_initial_state``, or has a field with the
+            name of a state field but another shape.
     """
 
     def __init__(self, points: MaterialPoints, law: Law, averages: FBar | None) -> None:
-        """Add the fields that are missing."""
+        """Add missing fields."""
         require_initial_state(points, "stress")
         for name, (shape, value) in law.state.items():
             if name not in points:
@@ -90,26 +90,27 @@ def internal_force(
     *,
     fbar: Averages = "default",
 ) -> ufl.Form:
-    """Internal force of an explicit step, the integral of sigma : grad w (F-bar, equation 8).
+    """Return the internal force of an explicit step, the integral of sigma : grad w.
 
-    With averages of J, stresses are those of ``F_bar = (J_bar / J)^(1/d) F`` (equation 18).
+    This is equation 8 of F-bar. With averages of J, stresses are those of
+    ``F_bar = (J_bar / J)^(1/d) F`` (equation 18).
 
     Args:
-        w: test function of velocities.
-        points: the body, with the fields of ``set_initial_state`` and its present volumes as
+        w: test function of the velocity ``(d,)``.
+        points: the body, with the fields of ``set_initial_state`` and its current volumes as
             weights [m^d].
-        material: a law at points; ``NeoHookean``, whose form at points is taken; or an energy per
-            initial volume ``psi(F)`` [J/m^3] in UFL, without state.
-        fbar: how J is averaged; None for no averages (standard MPM); by default what
-            ``default_fbar`` says of the law. An energy in UFL has none by default.
+        material: law at points; ``NeoHookean``, which is converted to a law at points; or a UFL
+            energy per initial volume ``psi(F)`` [J/m^3], without state.
+        fbar: how J is averaged. None for no averages (standard MPM). By default, laws use
+            ``default_fbar``, and a UFL energy uses no averages.
 
     Returns:
-        UFL form of rank 1 over the points [N], to be given to ``ExplicitMPM``. A law at points is
-        in it as the field "sigma", an energy with its derivative.
+        UFL form of rank 1 over the points [N], for ``ExplicitMPM``. It contains the field "sigma"
+        for a law at points, and the derivative of the energy otherwise.
 
     Raises:
-        ValueError: see ``CauchyStress``; for a body without the fields of ``set_initial_state``,
-            and for ``NeoHookean`` with nu = 0.5, which has no stress at a point.
+        ValueError: if the body lacks the fields of ``set_initial_state``, for the other reasons of
+            ``CauchyStress``, and for ``NeoHookean`` with nu = 0.5, which has no stress at a point.
     """
     if isinstance(material, NeoHookean):
         material = material.pointwise()
@@ -128,23 +129,28 @@ def internal_force(
 
 
 def stress_work(sigma: Any, w: Any) -> Any:
-    """Integrand of the internal force, sigma : grad w [Pa/m]."""
+    """Return the integrand of the internal force, sigma : grad w [Pa/m].
+
+    Args:
+        sigma: Cauchy stress ``(3, 3)`` [Pa], UFL.
+        w: test function of the velocity ``(d,)``.
+    """
     return ufl.inner(sigma, embed(ufl.grad(w)))
 
 
 def body_force(w: Any, points: MaterialPoints, b: Any) -> ufl.Form:
-    """Force per mass, such as gravity, -(rho b, w) over the present volumes.
+    """Return the load -(rho b, w) of a force per mass, such as gravity, over the current volumes.
 
     Args:
-        w: test function of velocities.
+        w: test function of the velocity ``(d,)``.
         points: the body, with the field "mass" [kg].
-        b: force per mass [m/s^2]: d numbers, a ``fem.Constant``, or a UFL vector.
+        b: force per mass ``(d,)`` [m/s^2]: numbers, a ``fem.Constant``, or a UFL vector.
 
     Returns:
         UFL form of rank 1 over the points [N], to be added to the residual.
 
     Raises:
-        ValueError: for numbers that are not finite, or of another shape.
+        ValueError: if the numbers are not finite, or the shape is wrong.
     """
     dim = points.mesh.geometry.dim
     if not isinstance(b, ufl.core.expr.Expr):
@@ -158,17 +164,23 @@ def body_force(w: Any, points: MaterialPoints, b: Any) -> ufl.Form:
 
 
 def force_work(points: MaterialPoints, b: Any, w: Any) -> Any:
-    """Integrand of a force per mass, -rho b . w [N/m^d per velocity]."""
+    """Return the integrand of a force per mass, -rho b . w [N/m^d per velocity].
+
+    Args:
+        points: the body, with the field "mass" [kg].
+        b: force per mass ``(d,)`` [m/s^2], UFL.
+        w: test function of the velocity ``(d,)``.
+    """
     return -density(points) * ufl.inner(b, w)
 
 
 def stretched(F: Any, ratio: Any, dim: int) -> Any:
-    """F with a determinant that is larger by a ratio; in plane strain F33 stays as it is.
+    """Return F scaled to a determinant that is larger by a ratio; plane strain keeps F33.
 
     Args:
-        F: deformation gradient 3x3, UFL.
-        ratio: of the determinants [-].
-        dim: 2 or 3.
+        F: deformation gradient ``(3, 3)``, UFL.
+        ratio: ratio of the determinants [-].
+        dim: space dimension, 2 or 3.
     """
     stretch = ratio ** (1 / dim)
     return ufl.as_tensor(
@@ -177,11 +189,13 @@ def stretched(F: Any, ratio: Any, dim: int) -> Any:
 
 
 def drawn_J(points: MaterialPoints, f: Any, averages: FBar | None) -> Any:
-    """J before a step, drawn to its average by the strain of the step, see ``FBar`` [-].
+    """Return J before a step, pulled towards its average by the strain of the step [-].
+
+    See ``FBar`` for the formula.
 
     Args:
         points: the body, with the fields "F" and "J_bar".
-        f: gradient of the step's motion, I + dt grad v, d x d, UFL.
+        f: incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
         averages: how J is averaged, or None.
     """
     J = ufl.det(points.field("F"))
@@ -193,27 +207,28 @@ def drawn_J(points: MaterialPoints, f: Any, averages: FBar | None) -> Any:
 
 
 def averaged_J(points: MaterialPoints, f: Any, averages: FBar) -> Any:
-    """What is averaged over the grid, per volume before the step [-] (F-bar, equations 19 to 21).
-
-    It is relative to "J_0", and so are averages: see ``FBar``.
+    """Return the quantity that is averaged over the grid (F-bar, equations 19 to 21) [-].
 
     Args:
         points: the body, with the fields "F", "J_bar" and "J_0".
-        f: gradient of the step's motion, I + dt grad v, d x d, UFL.
+        f: incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
         averages: how J is averaged.
+
+    Returns:
+        Quantity per volume before the step, relative to "J_0" as the averages of ``FBar``, UFL.
     """
     mixed = (1 - averages.r) * points.field("J_bar") + averages.r * drawn_J(points, f, averages)
     return mixed / points.field("J_0") * ufl.det(f)
 
 
 def moved_F(points: MaterialPoints, f: Any, averages: FBar | None, is_fluid: bool) -> Any:
-    """Deformation gradient after a step, 3x3 (F-bar, equation 14).
+    """Return the deformation gradient after a step ``(3, 3)`` (F-bar, equation 14).
 
     Args:
         points: the body, with the fields "F" and "J_bar".
-        f: gradient of the step's motion, I + dt grad v, d x d, UFL.
+        f: incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
         averages: how J is averaged, or None.
-        is_fluid: of F, only the determinant is kept.
+        is_fluid: whether only the determinant of F is kept.
     """
     F, dim = points.field("F"), f.ufl_shape[0]
     J = drawn_J(points, f, averages)

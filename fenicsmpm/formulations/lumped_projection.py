@@ -65,7 +65,10 @@ class LumpedProjection(fem.Function):
         self.points = points
         self.sums = ufl.inner(expression, ufl.TestFunction(space)) * points.dx
         if any(isinstance(c, LumpedProjection) for c in self.sums.coefficients()):
-            raise ValueError("a projection cannot have another projection in it")
+            raise ValueError(
+                "a projection cannot have another projection in it: project one expression of "
+                "functions and point fields"
+            )
         self._compiled = forms.form(self.sums)
         self.is_held = False
         self._volumes: la.Vector | None = None

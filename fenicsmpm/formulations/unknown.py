@@ -496,7 +496,7 @@ def _check_facets(where: Any) -> None:
     if facets.ndim == 1 and (np.issubdtype(facets.dtype, np.integer) or len(facets) == 0):
         return
     raise ValueError(
-        "a part is fixed where a marker says or at local facets (n,), not at an array of "
+        "give fix(..) a marker of positions or local facets (n,), not an array of "
         f"{facets.dtype} of the shape {facets.shape}"
     )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Modified Cam-Clay in Hencky strains."""
+"""Modified Cam-Clay plasticity in Hencky strains."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from fenicsmpm.materials.tensors import volume_change
 # Columns of the state, in the order of ModifiedCamClay.state
 _EPS_V_P, _EPS_P, _DISSIPATION = 9, 10, 11
 
-# Pressures are not less than exp(-30) of those at the beginning: what has parted stays calculable.
+# Lower bound of the pressure relative to the initial one, exp(-30), so that material that has
+# separated can still be computed
 _LEAST = -30.0
 
 
 @compiled
 def _invariants(strain, mu):  # type: ignore[no-untyped-def]
-    """Volumetric strain, deviatoric stresses 2 mu e, and the square of q = sqrt(3/2) |2 mu e|."""
+    """Return volumetric strain, deviatoric stresses 2 mu e, and q^2 with q = sqrt(3/2) |2 mu e|."""
     volume = strain[0] + strain[1] + strain[2]
     mean, two_mu = volume / 3, 2 * mu
     s = two_mu * (strain[0] - mean), two_mu * (strain[1] - mean), two_mu * (strain[2] - mean)
@@ -38,7 +39,7 @@ def _invariants(strain, mu):  # type: ignore[no-untyped-def]
 
 @compiled
 def _pressures(volume, eps_v_p, parameters):  # type: ignore[no-untyped-def]
-    """Pressure, its derivative with respect to volumetric strain, and preconsolidation."""
+    """Return pressure, its derivative by volumetric strain, and preconsolidation pressure."""
     swelling, difference = parameters[3], parameters[2] - parameters[3]
     exponent = -volume / swelling
     p = parameters[4] * math.exp(max(exponent, _LEAST))
@@ -48,10 +49,11 @@ def _pressures(volume, eps_v_p, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def _plastic_volume(gamma, p, p_c, parameters):  # type: ignore[no-untyped-def]
-    """Volumetric plastic strain x = -gamma (2 p - p_c) of a step, with p and p_c after it.
+    """Return the volumetric plastic strain x = -gamma (2 p - p_c) of a step.
 
-    The equation is monotone in x, and x lies between 0 and its value in the critical state,
-    2 p = p_c. Newton's method; bisection where it leaves the bracket.
+    Here p and p_c are the pressures after the step. The equation is monotone in x, and x lies
+    between 0 and its value in the critical state, 2 p = p_c. It is solved by Newton's method, with
+    bisection if that leaves the bracket.
     """
     a, b = 1 / parameters[3], 1 / (parameters[2] - parameters[3])
     critical = math.log(p_c / (2 * p)) / (a + b)
@@ -76,10 +78,11 @@ def _plastic_volume(gamma, p, p_c, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def _solve(volume, Q, eps_v_p, parameters):  # type: ignore[no-untyped-def]
-    """Return to the ellipse: gamma, volumetric plastic strain, pressures after it.
+    """Return to the ellipse; return gamma, volumetric plastic strain and pressures after it.
 
-    gamma = 0 is no flow. The unknown is y = ln(1 + 6 mu gamma / M^2), by which q is divided; it is
-    found by Newton's method, and by bisection where that leaves the bracket or is slow.
+    gamma = 0 means no plastic flow. The unknown is y = ln(1 + 6 mu gamma / M^2); the return divides
+    q by exp(y). It is found by Newton's method, with bisection if that leaves the bracket or is
+    slow.
     """
     mu, M = parameters[0], parameters[1]
     a, b = 1 / parameters[3], 1 / (parameters[2] - parameters[3])
@@ -103,7 +106,7 @@ def _solve(volume, Q, eps_v_p, parameters):  # type: ignore[no-untyped-def]
             low = y
         else:
             high = y
-        # dx / dgamma by the equation of x
+        # dx / dgamma from the equation for x
         away = 2 * new_p - new_c
         rate = -away / (1 + gamma * (2 * a * new_p + b * new_c))
         df = -2 * q * r + (a * new_p * away + b * new_p * new_c) * rate * math.exp(y) / c
@@ -119,7 +122,7 @@ def _solve(volume, Q, eps_v_p, parameters):  # type: ignore[no-untyped-def]
 
 @compiled
 def _flow(gamma, x, s, parameters):  # type: ignore[no-untyped-def]
-    """1 / (1 + 6 mu gamma / M^2), and principal plastic strains of the step."""
+    """Return 1 / (1 + 6 mu gamma / M^2), and the principal plastic strains of the step."""
     mu, M = parameters[0], parameters[1]
     share = 1 / (1 + 6 * mu * gamma / (M * M))
     third, r = x / 3, (1 - share) / (2 * mu)
@@ -152,7 +155,7 @@ def _energy(F, parameters, state):  # type: ignore[no-untyped-def]
 
 @compiled
 def _linearize(strain, state, parameters):  # type: ignore[no-untyped-def]
-    """Principal stresses, d tau_a / d eps_b, and derivatives of energy and dissipation."""
+    """Return principal stresses, d tau_a / d eps_b, and derivatives of energy plus dissipation."""
     mu, M = parameters[0], parameters[1]
     a, b = 1 / parameters[3], 1 / (parameters[2] - parameters[3])
     volume, s, Q = _invariants(strain, mu)
@@ -161,8 +164,8 @@ def _linearize(strain, state, parameters):  # type: ignore[no-untyped-def]
     share, flow = _flow(gamma, x, s, parameters)
     p_v, p_Q, g_v, g_Q = slope, 0.0, 0.0, 0.0
     if gamma > 0:
-        # of x + gamma (2 p - p_c) = 0 and share^2 Q / M^2 + p (p - p_c) = 0, by x and gamma, and
-        # by the trial volume and Q
+        # Derivatives of A = x + gamma (2 p - p_c) = 0 and B = share^2 Q / M^2 + p (p - p_c) = 0
+        # with respect to x and gamma, and to the trial volume and Q
         away, c = 2 * p - p_c, 6 * mu / (M * M)
         p_t = slope * p / trial
         A_x, A_g, A_v = 1 + gamma * (2 * a * p + b * p_c), away, 2 * gamma * p_t
@@ -202,46 +205,50 @@ def _work_gradient(F, parameters, state, G):  # type: ignore[no-untyped-def]
 
 
 class ModifiedCamClay(Law):
-    """Modified Cam-Clay (K. H. Roscoe, J. B. Burland, 1968) in logarithmic strains.
+    """Modified Cam-Clay plasticity in logarithmic strains.
 
-    With pressure p and ``q = sqrt(3/2) |dev tau|`` of the Kirchhoff stress tau = J sigma,
+    The law is due to K. H. Roscoe and J. B. Burland, 1968. With the pressure p and
+    ``q = sqrt(3/2) |dev tau|`` of the Kirchhoff stress tau = J sigma, the yield criterion is
 
-        q^2 / M^2 + p (p - p_c) <= 0,    p_c = preconsolidation exp(-eps_v_p / (lambda - kappa)),
+        q^2 / M^2 + p (p - p_c) <= 0,    p_c = preconsolidation exp(-eps_v_p / (lambda - kappa)).
 
-    and associated flow, implicit in time. Volumes are logarithms, so that the lines of isotropic
-    compression and swelling are straight in ln p and ln J (R. I. Borja, C. Tamagnini, "Cam-Clay
-    plasticity part III: Extension of the infinitesimal model to include finite strains", CMAME 155,
-    1998). Elasticity has their energy without coupling (alpha = 0), so that no cycle gains work:
+    Plastic flow is associated, and integrated implicitly. The lines of isotropic compression and
+    swelling are straight in ln p and ln J (R. I. Borja, C. Tamagnini, "Cam-Clay plasticity part
+    III: Extension of the infinitesimal model to include finite strains", CMAME 155, 1998). The
+    elastic energy is theirs without coupling (alpha = 0), so that no cycle of deformation creates
+    work:
 
         psi = pressure kappa (exp(-eps_v / kappa) - 1) + mu e : e,
         p = pressure exp(-eps_v / kappa),    dev tau = 2 mu e .
 
-    Undeformed clay has the stress -pressure I, not zero. What parts loses its pressure by
-    elasticity, and has it back at the same volume.
+    Undeformed clay has the stress -pressure I, not zero. Clay that separates loses its pressure
+    elastically, and regains it at the same volume.
 
-    State: "C_p_inverse" ``(3, 3)``, the inverse plastic right Cauchy-Green tensor; "eps_v_p", the
-    volumetric plastic strain (negative is compaction); "eps_p", the accumulated
-    ``sqrt(2/3) |plastic strain increment|``; "dissipation" [J/m^3], the sum of
-    tau : plastic strain increments.
+    The state has four fields:
 
-    ``wave_speed_modulus`` is that at the preconsolidation pressure; pressures much above need
-    shorter explicit steps.
+    - "C_p_inverse" ``(3, 3)`` is the inverse plastic right Cauchy-Green tensor [-].
+    - "eps_v_p" is the volumetric plastic strain [-], negative in compaction.
+    - "eps_p" is the accumulated ``sqrt(2/3) |plastic strain increment|`` [-].
+    - "dissipation" is the sum of tau : plastic strain increments [J/m^3].
+
+    ``wave_speed_modulus`` is the modulus at the preconsolidation pressure. Much higher pressures
+    need shorter explicit steps.
 
     Args:
         mu: shear modulus [Pa], positive.
-        M: slope of the critical state line, q = M p [-], positive.
-        compression: lambda, -d ln J / d ln p in isotropic compression [-], more than kappa.
-        swelling: kappa, the same in unloading [-], positive.
-        pressure: of the undeformed clay [Pa], positive.
-        preconsolidation: largest pressure it has had [Pa], at least ``pressure``, which it is by
-            default.
+        M: slope of the critical state line q = M p [-], positive.
+        compression: lambda, -d ln J / d ln p in isotropic compression [-], larger than kappa.
+        swelling: kappa, -d ln J / d ln p in unloading [-], positive.
+        pressure: pressure of the undeformed clay [Pa], positive.
+        preconsolidation: largest previous pressure [Pa], at least ``pressure``. None for
+            ``pressure``.
 
     Attributes:
         mu: shear modulus [Pa].
         M: slope of the critical state line [-].
 
     Raises:
-        ValueError: for parameters out of range, or that do not fit together.
+        ValueError: if a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(
@@ -260,7 +267,7 @@ class ModifiedCamClay(Law):
         swelling = positive(swelling, "swelling", "slope of swelling", "-")
         if compression <= swelling:
             raise ValueError(
-                f"compression must be more than swelling: compression = {compression}, "
+                f"compression must be larger than swelling: compression = {compression}, "
                 f"swelling = {swelling}"
             )
         pressure = positive(pressure, "pressure", "pressure of the undeformed clay", "Pa")
@@ -271,8 +278,8 @@ class ModifiedCamClay(Law):
         )
         if preconsolidation < pressure:
             raise ValueError(
-                f"the clay would yield at once: preconsolidation = {preconsolidation} Pa is below "
-                f"pressure = {pressure} Pa"
+                f"the clay would yield immediately: preconsolidation = {preconsolidation} Pa is "
+                f"below pressure = {pressure} Pa"
             )
         super().__init__(
             _update,

@@ -12,7 +12,10 @@ from fenicsmpm.materials.law import compiled
 
 @compiled
 def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore[no-untyped-def]
-    """See ``frictional.functions``; with r = |dev tau| / sqrt(2) and p = tr(tau) / 3."""
+    """Return to the cone; see ``frictional.functions``.
+
+    The invariants are r = |dev tau| / sqrt(2) and p = tr(tau) / 3.
+    """
     friction, k, tension = strength
     d_friction, d_k, d_tension = slopes
     volume = strain[0] + strain[1] + strain[2]
@@ -22,7 +25,7 @@ def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore
     r = math.sqrt(0.5 * (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]))
     excess = max(r + friction * p - k, 0.0)
     flows = excess > 0 or p > tension
-    # after the return, and derivatives with respect to p, r and eps_p
+    # values after the return, and their derivatives with respect to p, r and eps_p
     new_p, p_p, p_r, p_x = p, 1.0, 0.0, 0.0
     new_r, r_p, r_r, r_x = r, 0.0, 1.0, 0.0
     opened = 0.0
@@ -38,7 +41,7 @@ def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore
                 -kappa * dilatancy * c,
             )
             r_p, r_r, r_x = -mu * friction / G, 1 - mu / G, -mu * c
-        else:  # the cut-off, or its rim, which is the apex if there is no other limit
+        else:  # the cut-off or its rim, which is the apex without a separate limit
             new_p, p_p, p_r, p_x = tension, 0.0, 0.0, d_tension
             rim = max(k - friction * tension, 0.0)
             if r > rim:
@@ -68,47 +71,56 @@ Match = Literal["compression", "extension", "plane strain"]
 
 
 class DruckerPrager(Frictional):
-    """Hencky's law with a cone of Drucker and Prager.
+    """Drucker-Prager plasticity with Hencky's law.
 
-    With the Kirchhoff stress tau = J sigma, its mean p (tension is positive) and deviator s,
+    With the Kirchhoff stress tau = J sigma, its mean p (positive in tension) and its deviator s,
+    the yield criterion is
 
-        sqrt(s : s / 2) + eta p <= xi c,    p <= tension ,
+        sqrt(s : s / 2) + eta p <= xi c,    p <= tension .
 
-    and flow along s / (2 sqrt(s : s / 2)) + eta_psi I / 3, implicit in time, with the return to the
-    apex or to the rim of the cut-off where that to the cone would miss them (E. A. de Souza Neto,
-    D. Peric, D. R. J. Owen, "Computational Methods for Plasticity", section 8.3). eta, xi and
-    eta_psi match the cone of Mohr and Coulomb (ibid., equations 6.123 to 6.127):
+    Plastic flow is directed along s / (2 sqrt(s : s / 2)) + eta_psi I / 3, and integrated
+    implicitly. If the return to the cone would miss it, the stress returns to the apex or to the
+    rim of the cut-off (E. A. de Souza Neto, D. Peric, D. R. J. Owen, "Computational Methods for
+    Plasticity", section 8.3). The parameters eta, xi and eta_psi match the Mohr-Coulomb surface
+    (ibid., equations 6.123 to 6.127):
 
-    - "compression": its edges of triaxial compression, 6 sin(phi) / (sqrt(3) (3 - sin(phi)));
-    - "extension": its edges of triaxial extension, with 3 + sin(phi) instead;
-    - "plane strain": its strength in plane strain in plastic flow. With associated flow this is
-      3 tan(phi) / sqrt(9 + 12 tan^2(phi)); without dilatancy sin(phi), and
-      sin(phi) / (sqrt(1 - eta_psi^2 / 3) + eta_psi sin(phi) / 3) in general.
+    - "compression" matches its edges of triaxial compression, 6 sin(phi) / (sqrt(3) (3 -
+      sin(phi))).
+    - "extension" matches its edges of triaxial extension, with 3 + sin(phi) instead.
+    - "plane strain" matches its strength during plastic flow in plane strain. This is 3 tan(phi) /
+      sqrt(9 + 12 tan^2(phi)) for associated flow, sin(phi) without dilatancy, and sin(phi) /
+      (sqrt(1 - eta_psi^2 / 3) + eta_psi sin(phi) / 3) in general.
 
-    State: "C_p_inverse" ``(3, 3)``, the inverse plastic right Cauchy-Green tensor; "eps_p", the
-    accumulated ``sqrt(2/3) |plastic strain increment|`` with its volumetric part; "opening", the
-    logarithmic plastic volumetric strain at the limit of tension that closes without resistance
-    (see ``fenicsmpm.materials.frictional``); "dissipation" [J/m^3], the sum of tau : plastic strain
-    increments.
+    The state has four fields:
 
-    Softening is linear in eps_p: friction, cohesion and dilatancy, as eta, xi c and eta_psi, reach
-    their residual values at ``softening_strain``. The flow of a step has the dilatancy of its
-    beginning.
+    - "C_p_inverse" ``(3, 3)`` is the inverse plastic right Cauchy-Green tensor [-].
+    - "eps_p" is the accumulated ``sqrt(2/3) |plastic strain increment|`` [-], including the
+      volumetric part.
+    - "opening" is the logarithmic plastic volumetric strain at the limit of tension, which closes
+      without resistance [-] (see ``fenicsmpm.materials.frictional``).
+    - "dissipation" is the sum of tau : plastic strain increments [J/m^3].
+
+    Softening is linear in eps_p. Friction, cohesion and dilatancy, in terms of eta, xi c and
+    eta_psi, reach their residual values at ``softening_strain``. A step uses the dilatancy at its
+    start.
 
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        cohesion: c [Pa], not negative.
-        friction: angle phi [degrees], 0 <= friction < 90.
-        dilatancy: angle psi [degrees], 0 <= dilatancy <= friction.
-        tension: largest mean stress [Pa], not negative, at most that of the apex, which it is by
-            default.
-        match: how the cone is fitted to that of Mohr and Coulomb.
-        softening_strain: eps_p at which the residual values are reached [-]; without it there is no
-            softening. Softening localizes in bands as wide as the mesh allows: a warning is logged.
-        residual_cohesion: [Pa], at most the cohesion, which it is by default.
-        residual_friction: [degrees], at most the friction, which it is by default.
-        residual_dilatancy: [degrees], at most the dilatancy, which it is by default.
+        cohesion: cohesion c [Pa], not negative.
+        friction: friction angle phi [degrees], 0 <= friction < 90.
+        dilatancy: dilatancy angle psi [degrees], 0 <= dilatancy <= friction.
+        tension: largest mean stress [Pa], not negative, at most that of the apex. None for the
+            apex.
+        match: how the cone is fitted to the Mohr-Coulomb surface.
+        softening_strain: value of eps_p at which the residual values are reached [-]. None for no
+            softening. Softening localizes in bands as narrow as the mesh allows. A warning is
+            logged.
+        residual_cohesion: residual cohesion [Pa], at most the cohesion. None for the cohesion.
+        residual_friction: residual friction angle [degrees], at most the friction. None for the
+            friction.
+        residual_dilatancy: residual dilatancy angle [degrees], at most the dilatancy. None for the
+            dilatancy.
 
     Attributes:
         E: Young's modulus [Pa].
@@ -118,7 +130,7 @@ class DruckerPrager(Frictional):
         tension: largest mean stress before softening [Pa].
 
     Raises:
-        ValueError: for parameters out of range, or that do not fit together.
+        ValueError: if a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(
@@ -138,7 +150,7 @@ class DruckerPrager(Frictional):
         """Check and store the parameters."""
         if match not in ("compression", "extension", "plane strain"):
             raise ValueError(
-                f"a cone can match 'compression', 'extension' or 'plane strain', not {match!r}"
+                f"match must be 'compression', 'extension' or 'plane strain', not {match!r}"
             )
 
         def coefficients(c: float, phi: float, psi: float) -> tuple[float, float, float]:
@@ -153,7 +165,7 @@ class DruckerPrager(Frictional):
 
 
 def _matched(phi: float, psi: float, match: Match) -> tuple[float, float, float]:
-    """Coefficients eta, xi and eta_psi of the cone, from angles in radians."""
+    """Return eta, xi and eta_psi of the cone for angles in radians."""
     if match == "plane strain":
         eta_psi = 3 * math.tan(psi) / math.sqrt(9 + 12 * math.tan(psi) ** 2)
         divisor = math.sqrt(1 - eta_psi**2 / 3) + eta_psi * math.sin(phi) / 3

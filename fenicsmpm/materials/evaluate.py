@@ -37,7 +37,7 @@ def stress(
     F, state = _checked(law, F, state)
     L = np.zeros_like(F) if L is None else np.asarray(L, dtype=np.float64)
     if L.shape != F.shape:
-        raise ValueError(f"velocity gradients must have the shape of F, {F.shape}: {L.shape}")
+        raise ValueError(f"velocity gradients must have the shape of F, {F.shape}, not {L.shape}")
     sigma = np.empty_like(F)
     _stresses(law.update)(F, L, law.parameters, state, sigma)
     return sigma
@@ -117,7 +117,7 @@ def state_of(law: Law, points: MaterialPoints) -> Array:
 def _checked(law: Law, F: npt.ArrayLike, state: Array | None) -> tuple[Array, Array]:
     F = np.asarray(F, dtype=np.float64)
     if F.ndim != 3 or F.shape[1:] != (3, 3):
-        raise ValueError(f"deformation gradients must have shape (n, 3, 3): {F.shape}")
+        raise ValueError(f"deformation gradients must have shape (n, 3, 3), not {F.shape}")
     if state is None:
         state = law.initial_state(len(F))
     if state.shape != (len(F), law.n_state) or state.dtype != np.float64:

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""What frictional laws share: softening, opening in tension, stress, energy, tangent.
+"""Common parts of frictional laws: softening, opening in tension, stress, energy and tangent.
 
-A return map says what principal stresses of a given strength are; the rest is here. The strength is
-(friction, k, tension): a coefficient of friction [-], k [Pa] by cohesion, and a limit of tension
-[Pa]. It falls linearly with the accumulated plastic strain eps_p, of which the strength of a step
-is that at its end.
+The return map of a law gives the principal stresses for a given strength. This module does
+everything else. The strength is (friction, k, tension): a coefficient of friction [-], a parameter
+k [Pa] from the cohesion, and a limit of tension [Pa]. It decreases linearly with the accumulated
+plastic strain eps_p. A step uses the strength at its end.
 
-What opens in tension closes without resistance (G. Klar et al., "Drucker-Prager elastoplasticity
-for sand animation", ACM TOG 35, 2016, for the return without it; A. P. Tampubolon et al.,
-"Multi-species simulation of porous sand and water mixtures", ACM TOG 36, 2017, section 4.3.4, for
-the correction of volume): the volumetric plastic strain that was found at the tip of the yield
-surface is kept as the "opening". While there is some, the mean stress cannot be compressive.
+Material that opens in tension closes without resistance. The return to the tip of the yield surface
+follows G. Klar et al., "Drucker-Prager elastoplasticity for sand animation", ACM TOG 35, 2016. The
+correction of volume follows A. P. Tampubolon et al., "Multi-species simulation of porous sand and
+water mixtures", ACM TOG 36, 2017, section 4.3.4. The state field "opening" stores the volumetric
+plastic strain that occurs at the tip. As long as it is positive, the mean stress cannot be
+compressive.
 """
 
 from __future__ import annotations
@@ -51,13 +52,13 @@ logger = logging.getLogger(__name__)
 # Columns of the state, in the order of Frictional.state
 _EPS_P, _OPENING, _DISSIPATION = 9, 10, 11
 
-# A limit of tension that nothing reaches [Pa]
+# Limit of tension for laws without one [Pa]
 NO_LIMIT = 1e300
 
 
 @compiled
 def _strength(eps_p, parameters):  # type: ignore[no-untyped-def]
-    """Friction, k, tension, their derivatives with respect to eps_p; and dilatancy."""
+    """Return friction, k, tension, their derivatives with respect to eps_p, and dilatancy."""
     rate = parameters[2]
     share = rate * eps_p
     if share >= 1:
@@ -95,22 +96,25 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
 
     Args:
         return_map: ``return_map(strain, mu, kappa, strength, slopes, dilatancy)`` returns whether
-            there is plastic flow, the principal stresses, d tau_a / d eps_b (a tuple of 9 by rows),
-            d tau_a / d eps_p, and the part of the volumetric plastic strain that is an opening.
-            Strains are sorted, the largest first.
+            there is plastic flow, the principal stresses, d tau_a / d eps_b (a tuple of 9, by
+            rows), d tau_a / d eps_p, and the part of the volumetric plastic strain that is an
+            opening. Strains are sorted, with the largest one first.
+
+    Returns:
+        The four functions; see ``Law``.
     """
 
     @compiled
     def solve(strain, state, parameters):  # type: ignore[no-untyped-def]
-        """All that a step is, in principal axes."""
+        """Compute all quantities of a step in principal axes."""
         mu, kappa = parameters[0], parameters[1]
         eps_p, opening = state[_EPS_P], state[_OPENING]
-        # What is open closes before there is compression.
+        # Openings close before there is compression.
         volume = strain[0] + strain[1] + strain[2]
         closed = min(max(-volume, 0.0), opening)
         third = closed / 3
         strain = strain[0] + third, strain[1] + third, strain[2] + third
-        # What is open does not dilate.
+        # Material that is open does not dilate.
         dilatancy = _strength(eps_p, parameters)[2] if closed == opening else 0.0
         size = abs(strain[0]) + abs(strain[2])
         low, high = eps_p, math.inf
@@ -129,7 +133,8 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
             increment = math.sqrt(2 / 3 * _square(flow))
             if parameters[2] == 0:
                 break
-            # x = eps_p + increment(x) by Newton's method, and bisection where it leaves the bracket
+            # Solve x = eps_p + increment(x) by Newton's method, with bisection if it leaves the
+            # bracket.
             excess = x - eps_p - increment
             r = _elastic_strain(softening, mu, kappa)
             slope = -2 / 3 * (flow[0] * r[0] + flow[1] * r[1] + flow[2] * r[2]) / increment
@@ -170,7 +175,7 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
 
     @compiled
     def linearize(strain, state, parameters):  # type: ignore[no-untyped-def]
-        """Stresses, d tau_a / d eps_b, and the derivatives of energy and dissipation."""
+        """Return stresses, d tau_a / d eps_b, and the derivatives of energy plus dissipation."""
         mu, kappa = parameters[0], parameters[1]
         volume = strain[0] + strain[1] + strain[2]
         closed, strain, flows, tau, D, softening, _opened, flow, increment, slope = solve(
@@ -188,7 +193,7 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
                 D[6] + softening[2] * g[0], D[7] + softening[2] * g[1], D[8] + softening[2] * g[2],
             )  # fmt: skip
         w = work_derivatives(tau, D, flow)
-        if 0 < closed and closed == -volume:  # what closes does not feel the change of volume
+        if 0 < closed and closed == -volume:  # closing material does not resist changes of volume
             x, y, z = (D[0] + D[1] + D[2]) / 3, (D[3] + D[4] + D[5]) / 3, (D[6] + D[7] + D[8]) / 3
             D = (
                 D[0] - x, D[1] - x, D[2] - x,
@@ -215,15 +220,15 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def angle(value: float, symbol: str, meaning: str) -> float:
-    """An angle in degrees, if it is at least 0 and less than 90, in radians.
+    """Return an angle in radians if it is at least 0 and less than 90 degrees.
 
     Args:
-        value: to be checked.
+        value: value to be checked [degrees].
         symbol: name of the parameter.
-        meaning: what it is.
+        meaning: meaning of the parameter.
 
     Raises:
-        ValueError: for what is none.
+        ValueError: if the value is not such an angle.
     """
     result = number(value, symbol, meaning, "degrees")
     if not 0 <= result < 90:
@@ -232,24 +237,32 @@ def angle(value: float, symbol: str, meaning: str) -> float:
 
 
 class Frictional(Law):
-    """Hencky's law with a yield surface whose size grows with pressure.
+    """Base class of laws with Hencky elasticity and a pressure-dependent yield surface.
 
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        cohesion: [Pa], not negative.
-        friction: angle of friction [degrees], 0 <= friction < 90.
-        dilatancy: angle of dilatancy [degrees], 0 <= dilatancy <= friction.
-        tension: limit of tension [Pa], not negative, at most the tip of the yield surface, which it
-            is by default.
-        softening_strain: plastic strain at which the residual values are reached [-]; the following
-            parameters are those of the peak where they are not given.
-        residual_cohesion: [Pa].
-        residual_friction: [degrees].
-        residual_dilatancy: [degrees].
+        cohesion: cohesion [Pa], not negative.
+        friction: friction angle [degrees], 0 <= friction < 90.
+        dilatancy: dilatancy angle [degrees], 0 <= dilatancy <= friction.
+        tension: limit of tension [Pa], not negative, at most the tip of the yield surface. None for
+            the tip.
+        softening_strain: plastic strain at which the residual values are reached [-]. None for no
+            softening.
+        residual_cohesion: residual cohesion [Pa]. None for the peak value.
+        residual_friction: residual friction angle [degrees]. None for the peak value.
+        residual_dilatancy: residual dilatancy angle [degrees]. None for the peak value.
         return_map: see ``functions``.
-        coefficients: ``coefficients(cohesion, friction, dilatancy)``, of angles in radians:
-            friction [-], k [Pa] and dilatancy [-] of the return map.
+        coefficients: ``coefficients(cohesion, friction, dilatancy)``, with angles in radians,
+            returns friction [-], k [Pa] and dilatancy [-] of the return map.
+
+    Attributes:
+        strength: cohesion [Pa], friction and dilatancy angles [rad] at the peak and residual
+            ``(2, 3)``.
+        tension: limit of tension before softening [Pa].
+
+    Raises:
+        ValueError: if a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(
@@ -303,8 +316,8 @@ class Frictional(Law):
                 if low > high:
                     unit, one = ("Pa", 1.0) if name == "cohesion" else ("degrees", math.pi / 180)
                     raise ValueError(
-                        f"what softens must not grow: residual_{name} = {low / one:g} {unit} is "
-                        f"above {name} = {high / one:g} {unit}"
+                        f"a residual value must not exceed its peak: residual_{name} = "
+                        f"{low / one:g} {unit} is above {name} = {high / one:g} {unit}"
                     )
         strengths = [coefficients(*values) for values in (peak, residual)]
         (eta, k, _), (residual_eta, residual_k, _) = strengths
@@ -315,15 +328,15 @@ class Frictional(Law):
             limit = not_negative(tension, "tension", "limit of tension", "Pa")
             if limit > tip * (1 + 1e-12):
                 raise ValueError(
-                    f"limit of tension is above the tip of the yield surface: tension = {limit:g} "
-                    f"Pa, tip {tip:g} Pa. Leave it out for the tip."
+                    f"the limit of tension is above the tip of the yield surface: tension = "
+                    f"{limit:g} Pa, tip {tip:g} Pa. Leave out tension to use the tip"
                 )
         steepest = rate * (k - residual_k)
         if steepest >= self.mu:
             raise ValueError(
                 f"softening is steeper than the elastic unloading: the cohesive strength falls by "
-                f"{k - residual_k:g} Pa over softening_strain = {softening_strain}, which must be "
-                f"less than mu = {self.mu:g} Pa per strain"
+                f"{k - residual_k:g} Pa over softening_strain = {softening_strain}, but must fall "
+                f"by less than mu = {self.mu:g} Pa per strain"
             )
         if residual_k < k or residual_eta < eta:
             logger.warning(
@@ -365,18 +378,18 @@ class Frictional(Law):
 def _checked(
     cohesion: float, friction: float, dilatancy: float, prefix: str
 ) -> tuple[float, float, float]:
-    """Cohesion [Pa] and angles [rad] that fit together."""
+    """Return cohesion [Pa] and angles [rad] after checks of their consistency."""
     c = not_negative(cohesion, f"{prefix}cohesion", "cohesion", "Pa")
     phi = angle(friction, f"{prefix}friction", "angle of friction")
     psi = angle(dilatancy, f"{prefix}dilatancy", "angle of dilatancy")
     if psi > phi:
         raise ValueError(
-            f"dilatancy above friction would make energy: {prefix}dilatancy = {dilatancy} degrees, "
-            f"{prefix}friction = {friction} degrees"
+            f"a dilatancy above the friction would create energy: {prefix}dilatancy = {dilatancy} "
+            f"degrees, {prefix}friction = {friction} degrees"
         )
     if c == 0 and phi == 0:
         raise ValueError(
-            f"no strength at all: {prefix}cohesion = {cohesion} Pa and {prefix}friction = "
-            f"{friction} degrees"
+            f"the material has no strength: {prefix}cohesion = {cohesion} Pa and {prefix}friction "
+            f"= {friction} degrees; at least one must be positive"
         )
     return c, phi, psi

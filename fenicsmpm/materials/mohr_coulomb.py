@@ -9,12 +9,12 @@ from fenicsmpm.materials.frictional import NO_LIMIT, Frictional
 from fenicsmpm.materials.law import compiled
 from fenicsmpm.materials.tensors import inverse
 
-# Planes of the yield surface that sorted principal stresses can reach: friction between two of
-# them, tension of one. 0 is none.
+# Planes of the yield surface that sorted principal stresses can reach: friction planes of two
+# stresses, and tension planes of one stress. 0 means no plane.
 _NONE, _13, _12, _23, _1, _2, _3 = range(7)
 
-# Where a return can end, by the planes that are active: a plane, edges, corners. Where four planes
-# meet, any three of them that flow outwards will do.
+# Active planes at the places where a return can end: planes, edges and corners. Where four planes
+# meet, any three of them with positive multipliers suffice.
 _PLACES = (
     (_13, _NONE, _NONE),
     (_13, _12, _NONE),  # triaxial compression
@@ -27,14 +27,15 @@ _PLACES = (
     (_1, _13, _23),
     (_1, _2, _13),
 )
-_WITHOUT_TENSION = 3  # so many of them do without a limit of tension
+_WITHOUT_TENSION = 3  # number of places that exist without a limit of tension
 
 
 @compiled
 def _normal(plane, s):  # type: ignore[no-untyped-def]
-    """Normal of a plane with the sine of friction s, or direction of flow with that of dilatancy.
+    """Return the normal of a plane with the sine s of friction, or the flow direction.
 
-    Friction is (tau_1 - tau_3) / 2 + s (tau_1 + tau_3) / 2 <= c cos(phi), and so on.
+    For the flow direction, s is the sine of dilatancy. The friction planes are (tau_1 - tau_3) / 2
+    + s (tau_1 + tau_3) / 2 <= c cos(phi), and so on.
     """
     major, minor = 0.5 * (1 + s), -0.5 * (1 - s)
     if plane == _13:
@@ -53,7 +54,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _stress(lame, two_mu, m):  # type: ignore[no-untyped-def]
-    """Principal stresses of principal strains."""
+    """Return the principal stresses for principal strains."""
     p = lame * (m[0] + m[1] + m[2])
     return p + two_mu * m[0], p + two_mu * m[1], p + two_mu * m[2]
 
@@ -66,11 +67,11 @@ def _place(number):  # type: ignore[no-untyped-def]
 
 @compiled
 def _solve(number, trial, lame, two_mu, strength, sines):  # type: ignore[no-untyped-def]
-    """Multipliers with which trial stresses return to a place, and what tangents need of it.
+    """Return multipliers for the return of trial stresses to a place, and data for tangents.
 
     Returns:
         normals a_i, stresses C m_i of the flow directions m_i, the inverse of a_i C m_j (a tuple of
-        9), and multipliers; those of planes that are none are zero.
+        9), and multipliers. The multipliers of absent planes are zero.
     """
     x, y, z = _place(number)
     a = _normal(x, sines[0]), _normal(y, sines[0]), _normal(z, sines[0])
@@ -79,7 +80,7 @@ def _solve(number, trial, lame, two_mu, strength, sines):  # type: ignore[no-unt
         _stress(lame, two_mu, _normal(y, sines[1])),
         _stress(lame, two_mu, _normal(z, sines[1])),
     )
-    # planes that are none have zero normals; 2 mu makes the matrix regular
+    # Absent planes have zero normals. Adding 2 mu makes the matrix regular.
     G = (
         _dot(a[0], c[0]), _dot(a[0], c[1]), _dot(a[0], c[2]),
         _dot(a[1], c[0]), _dot(a[1], c[1]) + two_mu * (y == _NONE), _dot(a[1], c[2]),
@@ -97,7 +98,7 @@ def _solve(number, trial, lame, two_mu, strength, sines):  # type: ignore[no-unt
 
 @compiled
 def _limit(plane, strength):  # type: ignore[no-untyped-def]
-    """What bounds the stress at a plane [Pa], or its derivative."""
+    """Return the bound of the stress at a plane [Pa], or its derivative."""
     if plane == _NONE:
         return 0.0
     return strength[2] if plane >= _1 else strength[1]
@@ -114,7 +115,7 @@ def _returned(trial, c, gamma):  # type: ignore[no-untyped-def]
 
 @compiled
 def _violation(tau, gamma, two_mu, strength):  # type: ignore[no-untyped-def]
-    """By how much a return is not admissible [Pa]: order, yield surface, signs of multipliers."""
+    """Return by how much a return is inadmissible [Pa]: order, yield surface, multipliers."""
     outside = 0.5 * (tau[0] - tau[2] + strength[0] * (tau[0] + tau[2])) - strength[1]
     disorder = max(tau[1] - tau[0], tau[2] - tau[1])
     backwards = -two_mu * min(gamma[0], gamma[1], gamma[2])
@@ -123,7 +124,7 @@ def _violation(tau, gamma, two_mu, strength):  # type: ignore[no-untyped-def]
 
 @compiled
 def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore[no-untyped-def]
-    """See ``frictional.functions``: friction and dilatancy are sines, k is c cos(phi)."""
+    """Return to the surface; see ``frictional.functions``. k is c cos(phi), angles are sines."""
     two_mu, lame = 2 * mu, kappa - 2 / 3 * mu
     trial = _stress(lame, two_mu, strain)
     excess = _violation(trial, (0.0, 0.0, 0.0), two_mu, strength)
@@ -136,7 +137,7 @@ def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore
         return False, trial, D, (0.0, 0.0, 0.0), 0.0
     sines = strength[0], dilatancy
     count = _WITHOUT_TENSION if strength[2] >= NO_LIMIT else len(_PLACES)
-    # the first place that is admissible, or by round-off none is, that which is nearly so
+    # Take the first admissible place. If round-off makes all inadmissible, take the closest one.
     enough = 1e-13 * (abs(trial[0]) + abs(trial[1]) + abs(trial[2]))
     best, least = 0, math.inf
     for number in range(count):
@@ -150,7 +151,8 @@ def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore
     a, c, H, gamma = _solve(best, trial, lame, two_mu, strength, sines)
     tau = _returned(trial, c, gamma)
     opened = 0.0
-    if tau[0] - tau[2] <= 1e-12 * (tau[0] + excess):  # isotropic tension opens, cracks do not
+    # Only isotropic tension counts as an opening, cracks do not.
+    if tau[0] - tau[2] <= 1e-12 * (tau[0] + excess):
         opened = (x >= _1) * gamma[0] + (y >= _1) * gamma[1] + (z >= _1) * gamma[2]
     # d gamma = H (a_j C d eps + d f_j), with d f_j = d a_j . tau - d k_j at the end
     sheared = 0.5 * slopes[0]
@@ -169,7 +171,7 @@ def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore
 
 @compiled
 def _column(j, D, b, c, H):  # type: ignore[no-untyped-def]
-    """D tau / d eps_j from the elastic D, b_i = C a_i and c_i = C m_i."""
+    """Return d tau / d eps_j from the elastic D, b_i = C a_i and c_i = C m_i."""
     f = b[0][j], b[1][j], b[2][j]
     return _returned(
         (D[j], D[3 + j], D[6 + j]), c, (_dot(H[0:3], f), _dot(H[3:6], f), _dot(H[6:9], f))
@@ -178,7 +180,7 @@ def _column(j, D, b, c, H):  # type: ignore[no-untyped-def]
 
 @compiled
 def _slope(plane, tau, sheared, slopes):  # type: ignore[no-untyped-def]
-    """Derivative of the yield function of a plane with respect to eps_p at given stress."""
+    """Return the derivative of a plane's yield function with respect to eps_p at fixed stress."""
     if plane == _NONE:
         return 0.0
     if plane >= _1:
@@ -189,34 +191,40 @@ def _slope(plane, tau, sheared, slopes):  # type: ignore[no-untyped-def]
 
 
 class MohrCoulomb(Frictional):
-    """Hencky's law with the yield surface of Mohr and Coulomb.
+    """Mohr-Coulomb plasticity with Hencky's law.
 
-    With principal Kirchhoff stresses tau_1 >= tau_2 >= tau_3 (tension is positive)
+    With the principal Kirchhoff stresses tau_1 >= tau_2 >= tau_3 (positive in tension), the yield
+    criterion is
 
-        (tau_1 - tau_3) / 2 + (tau_1 + tau_3) / 2 sin(phi) <= c cos(phi),    tau_1 <= tension ,
+        (tau_1 - tau_3) / 2 + (tau_1 + tau_3) / 2 sin(phi) <= c cos(phi),    tau_1 <= tension .
 
-    and flow normal to the same planes with psi instead of phi, and to those of tension. The return
-    is implicit in time and ends on a plane, an edge, at a corner, or at the tip, with as many
-    multipliers (E. A. de Souza Neto, D. Peric, D. R. J. Owen, "Computational Methods for
-    Plasticity", section 8.2). In principal strains it is linear, so that no iterations are needed.
+    Plastic flow is normal to the same planes with psi instead of phi, and to the planes of tension.
+    The return is implicit in time. It ends on a plane, on an edge, at a corner or at the tip, with
+    the corresponding number of multipliers (E. A. de Souza Neto, D. Peric, D. R. J. Owen,
+    "Computational Methods for Plasticity", section 8.2). It is linear in principal strains and
+    needs no iterations.
 
     State and softening are those of ``DruckerPrager``, with sin(phi), c cos(phi) and sin(psi)
-    linear in eps_p. Openings are those where all three principal stresses are at the limit of
-    tension; cracks with compression along them do not close.
+    linear in eps_p. Only states with all three principal stresses at the limit of tension count as
+    openings. Cracks with compression along them do not close.
 
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        cohesion: c [Pa], not negative.
-        friction: angle phi [degrees], 0 <= friction < 90; 0 is the law of Tresca.
-        dilatancy: angle psi [degrees], 0 <= dilatancy <= friction.
-        tension: largest principal stress [Pa], not negative, at most that of the tip, c / tan(phi),
-            which it is by default.
-        softening_strain: eps_p at which the residual values are reached [-]; without it there is no
-            softening. Softening localizes in bands as wide as the mesh allows: a warning is logged.
-        residual_cohesion: [Pa], at most the cohesion, which it is by default.
-        residual_friction: [degrees], at most the friction, which it is by default.
-        residual_dilatancy: [degrees], at most the dilatancy, which it is by default.
+        cohesion: cohesion c [Pa], not negative.
+        friction: friction angle phi [degrees], 0 <= friction < 90. With 0 this is the law of
+            Tresca.
+        dilatancy: dilatancy angle psi [degrees], 0 <= dilatancy <= friction.
+        tension: largest principal stress [Pa], not negative, at most that of the tip, c / tan(phi).
+            None for the tip.
+        softening_strain: value of eps_p at which the residual values are reached [-]. None for no
+            softening. Softening localizes in bands as narrow as the mesh allows. A warning is
+            logged.
+        residual_cohesion: residual cohesion [Pa], at most the cohesion. None for the cohesion.
+        residual_friction: residual friction angle [degrees], at most the friction. None for the
+            friction.
+        residual_dilatancy: residual dilatancy angle [degrees], at most the dilatancy. None for the
+            dilatancy.
 
     Attributes:
         E: Young's modulus [Pa].
@@ -226,7 +234,7 @@ class MohrCoulomb(Frictional):
         tension: largest principal stress before softening [Pa].
 
     Raises:
-        ValueError: for parameters out of range, or that do not fit together.
+        ValueError: if a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""What laws share that are written in principal Hencky strains, for numba.
+"""Common functions of laws in principal Hencky strains, for numba.
 
-The elastic part of the deformation is ``b_e = F C_p^-1 F^T``, and C_p^-1 stands in the first nine
-numbers of the state. The trial strains of a step are ``eps_a = 1/2 ln b_a`` with the eigenvalues
-b_a of ``F C_p^-1 F^T`` for the state before the step. A law maps them to principal Kirchhoff
-stresses tau_a; principal directions stay (E. A. de Souza Neto, D. Peric, D. R. J. Owen,
+The elastic part of the deformation is ``b_e = F C_p^-1 F^T``. The first nine numbers of the state
+are C_p^-1. The trial strains of a step are ``eps_a = 1/2 ln b_a``, where b_a are the eigenvalues of
+``F C_p^-1 F^T`` for the state before the step. A law maps them to principal Kirchhoff stresses
+tau_a without changing the principal directions (E. A. de Souza Neto, D. Peric, D. R. J. Owen,
 "Computational Methods for Plasticity", section 14.4).
 """
 
@@ -28,7 +28,7 @@ from fenicsmpm.materials.tensors import (
 
 @compiled
 def elastic_deformation(F, state):  # type: ignore[no-untyped-def]
-    """b_e - I with b_e = F C_p^-1 F^T, a symmetric tensor."""
+    """Return b_e - I with b_e = F C_p^-1 F^T, a symmetric tensor."""
     b = metric_change(F)
     # plus F (C_p^-1 - I) F^T
     p = congruence(
@@ -39,7 +39,7 @@ def elastic_deformation(F, state):  # type: ignore[no-untyped-def]
 
 @compiled
 def principal_strains(b):  # type: ignore[no-untyped-def]
-    """Logarithmic strains of the tensor b - I, the largest first, and directions in columns."""
+    """Return the logarithmic strains for b - I, largest first, and the directions in columns."""
     w, n = eigen(b)
     x, y, z = w
     i, j, k = 0, 1, 2
@@ -60,7 +60,7 @@ def principal_strains(b):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
-    """Set sigma to tau / J, from principal values and directions; NaN unless J is positive."""
+    """Set sigma to tau / J, given principal values and directions; NaN unless J is positive."""
     r = 1 / jacobian if jacobian > 0 else math.nan
     s = compose((r * tau[0], r * tau[1], r * tau[2]), n)
     sigma[0, 0], sigma[1, 1], sigma[2, 2] = s[0], s[1], s[2]
@@ -71,7 +71,7 @@ def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
 
 @compiled
 def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def]
-    """Set C_p^-1 = F^-1 b_e F^-T in the state, from principal elastic strains."""
+    """Set C_p^-1 = F^-1 b_e F^-T in the state, given principal elastic strains."""
     b = compose((math.exp(2 * strain[0]), math.exp(2 * strain[1]), math.exp(2 * strain[2])), n)
     c = congruence(inverse(rows(F)), b)
     state[0], state[4], state[8] = c[0], c[1], c[2]
@@ -82,7 +82,7 @@ def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def
 
 @compiled
 def transposed_times(A, b):  # type: ignore[no-untyped-def]
-    """A^T b for a tuple of 9 by rows."""
+    """Return A^T b for a tuple of 9, by rows."""
     return (
         A[0] * b[0] + A[3] * b[1] + A[6] * b[2],
         A[1] * b[0] + A[4] * b[1] + A[7] * b[2],
@@ -92,14 +92,15 @@ def transposed_times(A, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def work_derivatives(tau, D, flow):  # type: ignore[no-untyped-def]
-    """Derivatives of energy and dissipation with respect to principal trial strains [J/m^3].
+    """Return the derivatives of energy plus dissipation by principal trial strains [J/m^3].
 
-    Energy grows by tau : d strain - tau : d flow, dissipation by tau : d flow + d tau : flow.
+    The energy changes by tau : d strain - tau : d flow, the dissipation by tau : d flow + d tau :
+    flow.
 
     Args:
         tau: principal Kirchhoff stresses [Pa].
-        D: d tau_a / d eps_b, a tuple of 9 by rows [Pa].
-        flow: principal plastic strains of the step.
+        D: d tau_a / d eps_b, a tuple of 9, by rows [Pa].
+        flow: principal plastic strains of the step [-].
     """
     w = transposed_times(D, flow)
     return tau[0] + w[0], tau[1] + w[1], tau[2] + w[2]
@@ -107,12 +108,14 @@ def work_derivatives(tau, D, flow):  # type: ignore[no-untyped-def]
 
 @compiled
 def quotients(strain, tau, D):  # type: ignore[no-untyped-def]
-    """(tau_a - tau_b) / (eps_a - eps_b) for ab = 12, 13, 23, or its limit for equal strains [Pa].
+    """Return (tau_a - tau_b) / (eps_a - eps_b) for ab = 12, 13, 23 [Pa].
+
+    For equal strains the quotients are replaced by their limits.
 
     Args:
-        strain: principal trial strains.
+        strain: principal trial strains [-].
         tau: principal Kirchhoff stresses [Pa].
-        D: d tau_a / d eps_b, a tuple of 9 by rows [Pa].
+        D: d tau_a / d eps_b, a tuple of 9, by rows [Pa].
     """
     return (
         _quotient(strain[0] - strain[1], tau[0] - tau[1], D[0] - D[1] - D[3] + D[4]),
@@ -123,29 +126,29 @@ def quotients(strain, tau, D):  # type: ignore[no-untyped-def]
 
 @compiled
 def _quotient(strain, tau, twice_slope):  # type: ignore[no-untyped-def]
-    # with differences below, round-off would be more than a hundred-millionth
+    # For smaller differences of strains, the relative round-off would exceed 1e-8.
     return tau / strain if abs(strain) > 1e-8 else 0.5 * twice_slope
 
 
 @compiled
 def set_tangent(F, strain, n, tau, D, quotient, dPdF):  # type: ignore[no-untyped-def]
-    """Set dPdF where principal Kirchhoff stresses depend on principal logarithmic strains.
+    """Set dPdF for principal Kirchhoff stresses that depend on principal logarithmic strains.
 
-    In principal axes and with g = dF F^-1, d tau_aa = sum_b (d tau_a / d eps_b) g_bb; off the
-    diagonal, d tau_ab is (tau_a - tau_b) / (b_a - b_b) times that of b = F C_p^-1 F^T; and
-    dP = (d tau - tau g^T) F^-T.
+    In principal axes and with g = dF F^-1, the diagonal entries are d tau_aa = sum_b (d tau_a / d
+    eps_b) g_bb. The other entries d tau_ab are (tau_a - tau_b) / (b_a - b_b) times those of b = F
+    C_p^-1 F^T. Finally, dP = (d tau - tau g^T) F^-T.
 
     Args:
-        F: deformation gradient.
-        strain: principal trial strains.
+        F: deformation gradient ``(3, 3)``.
+        strain: principal trial strains [-].
         n: tuple of 9 with the principal directions in its columns.
         tau: principal Kirchhoff stresses [Pa].
-        D: d tau_a / d eps_b, a tuple of 9 by rows [Pa].
-        quotient: see ``quotients``.
-        dPdF: ``(3, 3, 3, 3)``, to be set.
+        D: d tau_a / d eps_b, a tuple of 9, by rows [Pa].
+        quotient: see ``quotients`` [Pa].
+        dPdF: result ``(3, 3, 3, 3)`` [Pa].
     """
     work = np.empty((5, 3, 3))
-    # directions by columns, the same pulled back, and the factors of g_cc, g_ac and g_ca
+    # directions in columns, the same pulled back, and the factors of g_cc, g_ac and g_ca
     N, W, direct, along, across = work[0], work[1], work[2], work[3], work[4]
     inverse_F = inverse(rows(F))
     for a in range(3):
@@ -162,7 +165,7 @@ def set_tangent(F, strain, n, tau, D, quotient, dPdF):  # type: ignore[no-untype
         for j in range(3):
             b_j = math.exp(2 * strain[j])
             y = 2 * (strain[a] - strain[j])  # ln(b_a / b_j)
-            # pairs 01, 02, 12 stand in this order; a = j is not used
+            # The pairs are ordered 01, 02, 12. Entries with a = j are not used.
             of_pair = quotient[min(max(a + j - 1, 0), 2)]
             slope = 0.5 * of_pair * (y / math.expm1(y) if y != 0 else 1.0) / b_j
             direct[a, j] = D[3 * a + j]
@@ -190,10 +193,10 @@ def set_gradient(F, n, w, G):  # type: ignore[no-untyped-def]
     """Set G to the derivative with respect to F of a function of principal trial strains.
 
     Args:
-        F: deformation gradient.
+        F: deformation gradient ``(3, 3)``.
         n: tuple of 9 with the principal directions in its columns.
         w: derivatives with respect to the strains [J/m^3].
-        G: ``(3, 3)``, to be set: (sum_a w_a n_a n_a) F^-T.
+        G: result ``(3, 3)`` [J/m^3], (sum_a w_a n_a n_a) F^-T.
     """
     W, f = compose(w, n), inverse(rows(F))
     W = W[0], W[3], W[4], W[3], W[1], W[5], W[4], W[5], W[2]

@@ -55,7 +55,7 @@ def stretch_of(
     """
     sigma = np.asarray(sigma, dtype=np.float64)
     if sigma.ndim != 3 or sigma.shape[1:] != (3, 3):
-        raise ValueError(f"stresses must have shape (n, 3, 3): {sigma.shape}")
+        raise ValueError(f"stresses must have shape (n, 3, 3), not {sigma.shape}")
     state = law.initial_state(len(sigma)) if state is None else state
     F, reached = np.empty_like(sigma), np.empty(len(sigma), dtype=np.bool_)
     for start in range(0, len(sigma), _AT_ONCE):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rigid bodies: shape, motion, and the contact law between them and a material point."""
+"""Rigid bodies: their shape and motion, and the contact law at material points."""
 
 from fenicsmpm.rigid.body import RigidBody
 from fenicsmpm.rigid.inertia import Inertia, inertia_of

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""RigidBody: what bodies cannot enter, of any shape, fixed, moved or free."""
+"""Rigid bodies of any shape that material points cannot enter, fixed, moved or free."""
 
 from __future__ import annotations
 
@@ -23,44 +23,47 @@ TOTALS = 8
 
 
 class RigidBody:
-    """A rigid body that pushes material points by a barrier, with friction that sticks.
+    """Rigid body that repels material points by a barrier, with frictional sticking and sliding.
 
-    Without ``inertia``, its motion is prescribed; it rests if no velocity is given. With it, the
-    body is free, and moves by gravity, loads and contact.
+    Without ``inertia``, the motion of the body is prescribed, and the body is at rest if no
+    velocity is given. With ``inertia``, the body is free, and gravity, loads and contact move it.
 
     Args:
-        shape: ``shapes.Box``, ``shapes.polygon``, ``shapes.surface``, ``shapes.SignedDistance``, or
-            anything with ``distance`` and ``bounds()`` as they have, where the body is at the
-            start. All but boxes are sampled.
-        reach: gap from which on there is a contact force [m], such as half the points' distance.
-        velocity: of the centre ``(d,)`` [m/s]; a number or a function of time [s], but of free
-            bodies the one at the start.
-        angular_velocity: ``(3,)``, in the plane a number [rad/s]; likewise.
-        centre: about which the body turns ``(d,)`` [m]; None for the centre of mass of free bodies,
-            and the middle of the bounds of others, 0 where these are infinite.
-        rotation: of the shape about the centre before the start, an angle in the plane, in space a
-            vector ``(3,)`` whose length is the angle [rad].
-        inertia: what makes the body free, such as ``rigid.inertia_of(shape, density)``.
-        gravity: force per mass on a free body ``(d,)`` [m/s^2], or a function of time.
-        force: further force on its centre ``(d,)`` [N]; likewise.
-        torque: and torque ``(3,)``, in the plane a number [N m]; likewise.
-        friction: coefficient; infinite for no slip.
-        stiffness: of the barrier, in units of a point's mass over the square of the time step.
-        spacing: of samples of the distance [m]; None for half the reach.
-        name: in messages; None for the shape.
+        shape: shape of the body at the start: ``shapes.Box``, ``shapes.polygon``,
+            ``shapes.surface``, ``shapes.SignedDistance``, or any object with the same methods
+            ``distance`` and ``bounds()``. The distance from all shapes except boxes is sampled.
+        reach: gap below which there is a contact force [m], for example half the distance of
+            points.
+        velocity: velocity of the centre ``(d,)`` [m/s], 0 for none, or a function of time [s]. For
+            a free body, it is the velocity at the start.
+        angular_velocity: angular velocity [rad/s], a number in the plane or ``(3,)`` in space, or a
+            function of time [s]. For a free body, it is the angular velocity at the start.
+        centre: centre of rotation ``(d,)`` [m]. None for the centre of mass of a free body, or for
+            the centre of the bounds of any other body (0 where these are infinite).
+        rotation: rotation of the shape about the centre before the start [rad], an angle in the
+            plane, or a vector ``(3,)`` in space whose length is the angle.
+        inertia: inertia of a free body, for example ``rigid.inertia_of(shape, density)``.
+        gravity: force per mass on a free body ``(d,)`` [m/s^2], or a function of time [s].
+        force: additional force on the centre of a free body ``(d,)`` [N], or a function of time
+            [s].
+        torque: additional torque on a free body [N m], a number in the plane or ``(3,)`` in space,
+            or a function of time [s].
+        friction: coefficient of friction [-], infinite for no slip.
+        stiffness: stiffness of the barrier, in units of the mass of a point over the square of the
+            time step [-].
+        spacing: spacing of the samples of the distance [m]. None for half the reach.
+        name: name in messages. None for the shape.
 
     Attributes:
-        dim: d.
-        position: of the centre ``(d,)`` [m].
-        velocity: of the centre ``(d,)`` [m/s].
-        is_free: whether it has an inertia.
-        force: of the body on the points in the last step ``(d,)`` [N].
-        error: of sampled distances near the surface [m]; 0 for boxes.
+        dim: space dimension d.
+        position: position of the centre ``(d,)`` [m].
+        is_free: whether the body has an inertia.
+        error: error of sampled distances near the surface [m], 0 for boxes.
 
     Raises:
-        ValueError: for a reach or stiffness that is not positive, negative friction, gravity and
-            loads on a body that is not free, values of other shapes or not finite, and shapes that
-            cannot be sampled.
+        ValueError: if reach or stiffness is not positive, friction is negative, gravity or loads
+            are given for a body that is not free, a value has a wrong shape or is not finite, or
+            the shape cannot be sampled.
     """
 
     def __init__(
@@ -81,29 +84,32 @@ class RigidBody:
         spacing: float | None = None,
         name: str | None = None,
     ) -> None:
-        """Check, and sample the distance."""
+        """Check the arguments, and sample the distance."""
         if not (0 < reach < np.inf and friction >= 0 and 0 < stiffness < np.inf):
             raise ValueError(
                 "a rigid body needs a positive reach and stiffness and no negative friction: "
-                f"{reach}, {stiffness}, {friction}"
+                f"reach = {reach} m, stiffness = {stiffness}, friction = {friction}"
             )
         if spacing is not None and not 0 < spacing < np.inf:
-            raise ValueError(f"a spacing of samples is positive: {spacing}")
+            raise ValueError(f"the spacing of samples must be positive: {spacing} m")
         lower, upper = shape.bounds()
         self.dim, self.shape, self.reach = len(lower), shape, float(reach)
         self.friction, self.stiffness = float(friction), float(stiffness)
         self.name = repr(shape) if name is None else name
         self.is_free, self.inertia = inertia is not None, inertia
         if inertia is not None and len(inertia.centre) != self.dim:
-            raise ValueError(f"{inertia!r} is not that of a body in {self.dim} dimensions")
+            raise ValueError(
+                f"{inertia!r} does not fit a body in {self.dim} dimensions: use "
+                "rigid.inertia_of(shape, density)"
+            )
         self._given = {"velocity": velocity, "angular velocity": angular_velocity}
         self._loads = {"gravity": gravity, "force": force, "torque": torque}
         if not self.is_free:
             for what, value in self._loads.items():
                 if callable(value) or np.any(np.asarray(value) != 0):
                     raise ValueError(
-                        f"a {what} on a rigid body whose motion is prescribed does nothing: give "
-                        "it an inertia to set it free"
+                        f"a {what} on a rigid body with a prescribed motion has no effect: give "
+                        "the body an inertia to make it free"
                     )
         self._origin: Array = self._vector(self._centre(centre), "centre")
         self.position: Array = self._origin.copy()
@@ -121,14 +127,14 @@ class RigidBody:
         else:
             if callable(velocity) or callable(angular_velocity):
                 raise ValueError(
-                    f"the velocity of the free body {self.name} follows from what acts on it: give "
-                    "that at the start, not a function of time"
+                    f"the velocity of the free body {self.name} follows from the forces on it: "
+                    "give its value at the start, not a function of time"
                 )
             self._v = self._vector(velocity, "velocity")
             R, axes = matrix(self._q), inertia.axes
             w = self._rotor(angular_velocity, "angular velocity")
             self._L = R @ axes @ (inertia.moments * (axes.T @ R.T @ w))
-        # mass [kg] and polar moment [kg m^2] of the points within reach
+        # Mass [kg] and polar moment [kg m^2] of the points within reach
         self._touched: Array = np.zeros(2)
         self._pushed: Array = np.zeros(TOTALS)
         self._held: Array = np.zeros(TOTALS)
@@ -137,7 +143,9 @@ class RigidBody:
     def _centre(self, centre: npt.ArrayLike | None) -> npt.ArrayLike:
         if self.inertia is not None:
             if centre is not None:
-                raise ValueError("the centre of a free body is that of its inertia")
+                raise ValueError(
+                    "the centre of a free body is that of its inertia: leave out the centre"
+                )
             return self.inertia.centre
         if centre is not None:
             return centre
@@ -146,53 +154,62 @@ class RigidBody:
             middle = ends.mean(axis=0)
         return np.where(np.isfinite(ends).all(axis=0), middle, 0.0)
 
-    # --- where it is and how it moves ----------------------------------------------------------
+    # --- position and motion -------------------------------------------------------------------
 
     @property
     def rotation(self) -> Array:
-        """Rotation of the shape ``(d, d)`` up to now."""
+        """Rotation matrix of the shape since it was given ``(d, d)`` [-]."""
         return np.ascontiguousarray(matrix(self._q)[: self.dim, : self.dim])
 
     @property
     def moved(self) -> Array:
-        """Way of the centre so far ``(d,)`` [m]."""
+        """Displacement of the centre since the start ``(d,)`` [m]."""
         return self.position - self._origin
 
     @property
     def velocity(self) -> Array:
-        """Of the centre ``(d,)`` [m/s]; of prescribed motions at the beginning of the last step."""
+        """Velocity of the centre ``(d,)`` [m/s]; if prescribed, at the start of the last step."""
         return self._v.copy()
 
     @property
     def angular_velocity(self) -> Any:
-        """``(3,)``, in the plane a number [rad/s]; likewise."""
+        """Angular velocity [rad/s], a number in the plane or ``(3,)`` in space.
+
+        If the motion is prescribed, it is the value at the start of the last step.
+        """
         return self._turning(self._spin())
 
     @property
     def force(self) -> Array:
-        """Of the body on the points in the last step ``(d,)`` [N]."""
+        """Force of the body on the points in the last step ``(d,)`` [N]."""
         return (self._pushed + self._held)[: self.dim]
 
     @property
     def torque(self) -> Any:
-        """Likewise about its centre, ``(3,)``, in the plane a number [N m]."""
+        """Torque of the body on the points about its centre in the last step [N m].
+
+        It is a number in the plane or ``(3,)`` in space.
+        """
         return self._turning((self._pushed + self._held)[3:6])
 
     @property
     def momentum(self) -> Array:
-        """Of a free body ``(d,)`` [kg m/s]."""
+        """Momentum of a free body ``(d,)`` [kg m/s]."""
         return self._inertia().mass * self._v
 
     @property
     def angular_momentum(self) -> Any:
-        """Of a free body about the origin ``(3,)``, in the plane a number [kg m^2/s]."""
+        """Angular momentum of a free body about the origin [kg m^2/s].
+
+        It is a number in the plane or ``(3,)`` in space.
+        """
         x, p = np.zeros(3), np.zeros(3)
         x[: self.dim], p[: self.dim] = self.position, self.momentum
         return self._turning(self._L + np.cross(x, p))
 
     @property
     def kinetic_energy(self) -> float:
-        """Of a free body [J]."""
+        """Kinetic energy of a free body [J]."""
         return float(self.momentum @ self._v + self._L @ self._spin()) / 2
 
     def _inertia(self) -> Inertia:
@@ -207,13 +224,13 @@ class RigidBody:
         return np.asarray(turn @ ((turn.T @ self._L) / self.inertia.moments))
 
     def distance(self, x: npt.ArrayLike) -> tuple[Array, Array]:
-        """Signed distances of positions from the body where it is now, and their gradients.
+        """Return signed distances of positions from the body now, and their gradients.
 
         Args:
             x: positions ``(n, d)`` [m].
 
         Returns:
-            Distances ``(n,)`` [m], infinite beyond all samples, and normals ``(n, d)``.
+            Distances ``(n,)`` [m], infinite outside the samples, and normals ``(n, d)`` [-].
         """
         R = self.rotation
         y = self._origin + (np.asarray(x, dtype=np.float64) - self.position) @ R
@@ -223,10 +240,10 @@ class RigidBody:
     # --- steps of a time loop ------------------------------------------------------------------
 
     def begin(self, time: float) -> None:
-        """Begin a step: take the prescribed motion of its beginning, and forget forces.
+        """Begin a step: set the prescribed motion at its start, and reset the forces.
 
         Args:
-            time: at the beginning [s].
+            time: time at the start of the step [s].
 
         Raises:
             ValueError: if a velocity or load is not finite.
@@ -240,48 +257,52 @@ class RigidBody:
         self.settle()
 
     def settle(self) -> None:
-        """What comes now begins where the body is."""
+        """Store the current place as the start of the next motion."""
         self._before = self._q, self.position
 
     def carry(self, start: float, end: float) -> None:
-        """Be where a prescribed motion leads, by its velocities in the middle of the time.
+        """Move to the end of a prescribed motion with the velocities in the middle of the interval.
 
-        For implicit steps, which may be tried again: it begins where ``settle`` was called last.
+        Implicit steps use this function. They may be repeated, so each call starts from the place
+        at the last ``settle``.
 
         Args:
-            start: time there [s].
-            end: time [s].
+            start: time at the last ``settle`` [s].
+            end: time at the end of the motion [s].
 
         Raises:
-            ValueError: for a free body, or if a velocity is not finite.
+            ValueError: if the body is free, or a velocity is not finite.
         """
         if self.is_free:
             raise ValueError(
-                f"the rigid body {self.name} is free: implicit steps take fixed bodies and "
-                "prescribed motions, explicit ones move free bodies"
+                f"the rigid body {self.name} is free: implicit steps support fixed bodies and "
+                "prescribed motions only. Use explicit steps, or leave out the inertia"
             )
         self._set_motion((start + end) / 2)
         self._q, self.position = self._before
         self._drift(end - start)
 
     def way(self, x: Array) -> Array:
-        """Way of what is at positions in the body, since ``settle`` was called last.
+        """Return the displacements of material points of the body since the last ``settle`` [m].
 
         Args:
-            x: positions ``(n, d)`` [m] at that time, inside of the body or not.
+            x: positions at that time ``(n, d)`` [m], inside the body or not.
+
+        Returns:
+            Displacements ``(n, d)`` [m].
         """
         q, centre = self._before
         R = matrix(q)[: self.dim, : self.dim]
         return np.asarray(self.position - x + (x - centre) @ (self.rotation @ R.T).T)
 
     def _drift(self, dt: float) -> None:
-        """Move by the velocities as they are."""
+        """Move with the current velocities."""
         self.position = self.position + dt * self._v
         self._q = product(about(dt * self._w), self._q)
         self._q = self._q / np.linalg.norm(self._q)
 
     def contact(self) -> Contact:
-        """What the contact law at points needs, for where the body is now."""
+        """Return the data of the contact law at points, for the current place of the body."""
         share = 1.0
         if self.inertia is not None:
             mass, polar = self._touched
@@ -298,9 +319,9 @@ class RigidBody:
         """Move through a step.
 
         Args:
-            time: at its beginning [s].
-            dt: its length [s].
-            pushed: totals ``(8,)`` of contact forces on the points of all ranks.
+            time: time at the start of the step [s].
+            dt: length of the step [s].
+            pushed: totals ``(8,)`` of the contact forces on the points of all ranks.
         """
         self._pushed = pushed
         if self.inertia is None:
@@ -317,8 +338,9 @@ class RigidBody:
         """End a step.
 
         Args:
-            dt: its length [s].
-            held: totals ``(8,)`` of what has kept points of all ranks out, over the step.
+            dt: length of the step [s].
+            held: totals ``(8,)`` of the forces that kept the points of all ranks outside the body,
+                averaged over the step.
         """
         self._held, self._touched = held, held[6:].copy()
         if self.inertia is not None:
@@ -327,7 +349,7 @@ class RigidBody:
 
     @property
     def state(self) -> dict[str, float]:
-        """What the next step depends on, for checkpoints."""
+        """Values on which the next step depends, for checkpoints."""
         arrays = {
             "position": self.position, "rotation": self._q, "velocity": self._v,
             "angular momentum": self._L, "touched": self._touched,
@@ -344,7 +366,7 @@ class RigidBody:
         self._touched = array("touched", 2)
         self.settle()
 
-    # --- values that were given ----------------------------------------------------------------
+    # --- given values --------------------------------------------------------------------------
 
     def _set_motion(self, time: float) -> None:
         given = {
@@ -359,11 +381,11 @@ class RigidBody:
         return (self._rotor if what == "torque" else self._vector)(value, what, time)
 
     def _vector(self, value: npt.ArrayLike, what: str, time: float | None = None) -> Array:
-        """``(d,)`` from one number or d."""
+        """Return ``(d,)`` from zero or d numbers."""
         return self._checked(value, (self.dim,), what, time)
 
     def _rotor(self, value: npt.ArrayLike, what: str, time: float | None = None) -> Array:
-        """``(3,)`` from one number in the plane, three in space."""
+        """Return ``(3,)`` from one number in the plane, or three in space."""
         if self.dim == 3:
             return self._checked(value, (3,), what, time)
         return np.array([0.0, 0.0, float(self._checked(value, (), what, time))])
@@ -374,7 +396,9 @@ class RigidBody:
         array = np.asarray(value, dtype=np.float64)
         when = "" if time is None else f" at t = {time} s"
         if array.shape not in ((), shape) or (shape == (3,) and not array.shape and array != 0):
-            raise ValueError(f"the {what} of a rigid body has the shape {shape}, not {array.shape}")
+            raise ValueError(
+                f"the {what} of a rigid body needs the shape {shape}, not {array.shape}"
+            )
         if not np.isfinite(array).all():
             raise ValueError(
                 f"the {what} of the rigid body {self.name} must be finite: {array}{when}"

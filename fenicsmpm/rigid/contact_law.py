@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""Contact of a material point with a rigid body: a barrier, and friction that sticks (numba).
+"""Contact of a material point with a rigid body: a barrier, and elastic-slip friction (numba).
 
-The force of a point follows from its gap d by the barrier of M. Li et al. (Incremental potential
-contact, ACM Trans. Graph. 39, 2020), as Y. Zhao, C. Jiang, J. Choo use it:
+The force on a point follows from its gap d by the barrier of M. Li et al. (Incremental potential
+contact, ACM Trans. Graph. 39, 2020), as Y. Zhao, C. Jiang and J. Choo use it:
 
-    f = -k r b'(d / r),    b(s) = -(s - 1)^2 ln s  for 0 < s < 1,
+    f = -k r b'(d / r),    b(s) = -(s - 1)^2 ln s  for 0 < s < 1.
 
-zero from the reach r on and infinite at contact. Explicit steps are too long for gaps that are
-nearly closed. So the force is at most what would lead the point away by half of the way that it is
-too near, within the step and if the force acted on it alone; and a point that would come nearer
-than a hundredth of the reach is put there, and no longer approaches the body. So no point enters a
-body that is thicker than twice the way of a step; one that is in it from the beginning is an error.
+It is zero for gaps larger than the reach r, and infinite at contact.
+
+Explicit steps are too long for gaps that are nearly closed, so there are two limits. First, the
+force is limited such that, acting alone, it would move the point by at most half of the missing
+distance in the step. Second, a point that would come closer than a hundredth of the reach is placed
+at that distance and no longer approaches the body. Therefore no point enters a body that is thicker
+than twice the displacement of the point in a step. A point that is inside the body from the start
+is an error.
 
 Friction is Coulomb's, elastic up to its limit (P. Wriggers, Computational Contact Mechanics, 2006,
-section 5.2): from where it touches first, a point drags a spring along the body, and a damper that
-would stop in one step how it has moved in the last one. A spring whose force is at its limit slides
-with the point. A force that only acted against the present slip would let a body creep that ought
-to rest. The damper does not go by the velocities of points: with FLIP, they have parts that nothing
-moves by.
+section 5.2). From its first contact on, a point drags a spring along the body. It also drags a
+damper, which would stop the motion of the last step within one step. When the spring force reaches
+its limit, the spring slides with the point. A force that opposed only the current slip would let a
+body creep that should be at rest. The damper does not use the velocities of points, because with
+FLIP these have components that do not move anything.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -31,32 +34,34 @@ import numpy as np
 from fenicsmpm.basis.blocks import inline
 from fenicsmpm.rigid.distance import distance_at
 
-# Share of the reach that is kept in any case
+# Smallest gap as a share of the reach
 _CLOSEST = 0.01
-# Share of the way out of the reach that a point may be led in a step
+# Largest share of the way out of the reach that a force may move a point in a step
 _OUT = 0.5
-# Stiffness of the spring of friction, in units of a point's mass over the square of the time step
+# Stiffness of the friction spring, in units of the mass of a point over the square of the time step
 _SPRING = 0.25
-# Attempts to put a point out of a body, at whose edges the first direction may not be right
+# Number of attempts to move a point out of a body; near edges the first direction may be wrong
 _ATTEMPTS = 10
 
 
 class Contact(NamedTuple):
-    """A rigid body as the contact law sees it.
+    """Data of a rigid body for the contact law.
 
     Attributes:
         field: its ``Distance``.
-        rotation: of the body ``(d, d)``.
-        centre: where it is ``(d,)`` [m].
-        origin: where the centre was when the shape was given.
-        rotation_before: at the beginning of the step.
-        centre_before: likewise.
-        velocity: of the centre ``(d,)`` [m/s].
-        spin: ``(d, d)``, with which a place r from the centre moves by spin r [1/s].
-        reach: [m].
-        stiffness: of the barrier, in units of a point's mass over the square of the time step.
-        friction: coefficient.
-        share: of the forces, so that points do not throw a free body that is lighter than they are.
+        rotation: rotation matrix of the body ``(d, d)`` [-].
+        centre: current position of the centre ``(d,)`` [m].
+        origin: position of the centre when the shape was given ``(d,)`` [m].
+        rotation_before: rotation matrix at the start of the step ``(d, d)`` [-].
+        centre_before: position of the centre at the start of the step ``(d,)`` [m].
+        velocity: velocity of the centre ``(d,)`` [m/s].
+        spin: spin matrix ``(d, d)`` [1/s]: a place at r from the centre moves with spin r.
+        reach: reach of the barrier [m].
+        stiffness: stiffness of the barrier, in units of the mass of a point over the square of the
+            time step [-].
+        friction: coefficient of friction [-].
+        share: factor on the forces [-], so that points do not throw off a free body that is lighter
+            than they are.
     """
 
     field: Any
@@ -73,17 +78,17 @@ class Contact(NamedTuple):
     share: Any
 
 
-# Arrays of points are indexed by component and point, so that those in blocks of eight, from some
-# row on, and transposed ones are served by the same functions. That of slips has two vectors in the
-# body's frame: the spring, and the way along the body in the last step. `work` has rows for some
-# vectors.
+# Arrays over points are indexed by component and point. Therefore the same functions work on blocks
+# of eight points, from row `first` on, and on transposed arrays. The array of slips has two vectors
+# in the frame of the body: the spring, and the displacement along the body in the last step. `work`
+# has rows for temporary vectors.
 
 
 @inline
 def gap(x, first, i, body, y, normal):
-    """Distance of a point from a body and the direction away from it.
+    """Return the distance of a point from a body, and set the direction away from it.
 
-    Sets ``y``, the point in the body's frame.
+    Also set ``y``, the position of the point in the frame of the body.
     """
     for k in range(len(y)):
         y[k] = body.origin[k]
@@ -94,7 +99,7 @@ def gap(x, first, i, body, y, normal):
 
 @inline
 def turn(body, vector, work):
-    """Turn a vector of the body's frame into space."""
+    """Rotate a vector from the frame of the body into space."""
     for k in range(len(vector)):
         work[k] = vector[k]
     for k in range(len(vector)):
@@ -105,7 +110,7 @@ def turn(body, vector, work):
 
 @inline
 def relative_velocity(x, v, first, i, body, result):
-    """Velocity of a point as seen from the body."""
+    """Set the velocity of a point relative to the body."""
     for k in range(len(result)):
         result[k] = v[first + k, i] - body.velocity[k]
         for j in range(len(result)):
@@ -114,7 +119,7 @@ def relative_velocity(x, v, first, i, body, result):
 
 @inline
 def dot(a, b):
-    """Scalar product."""
+    """Return the scalar product."""
     result = 0.0
     for k in range(len(a)):
         result += a[k] * b[k]
@@ -123,7 +128,7 @@ def dot(a, b):
 
 @inline
 def add_to_total(x, first, i, body, force, total):
-    """Add a force on a point and its moment about the body's centre to totals ``(8,)``."""
+    """Add a force on a point and its moment about the centre of the body to totals ``(8,)``."""
     d = len(force)
     for k in range(d):
         total[k] += force[k]
@@ -138,7 +143,7 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
     """Set the force ``(d,)`` of a body on a point of mass m, and add it to totals.
 
     Returns:
-        The distance; from the reach on there is no force, and none is set.
+        The distance. If it is not less than the reach, there is no force, and none is set.
     """
     y, normal, w, t = work[0], work[1], work[2], work[3]
     distance = gap(x, first, i, body, y, normal)
@@ -155,7 +160,7 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
         force[k] = f * normal[k]
     if body.friction > 0.0:
         for k in range(len(force)):
-            # what would hold the point, in lengths
+            # force that would hold the point, in units of length
             t[k] = _SPRING * slip[2 * first + k, i] + slip[2 * first + len(force) + k, i]
         turn(body, t, y)
         along = dot(t, normal)
@@ -177,12 +182,13 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
 
 @inline
 def keep_out(x, x_next, v, slip, first, i, m, body, dt, work, force, total):
-    """End the step of a point: keep it out of a body at its new place, and renew its spring.
+    """End the step of a point: keep it outside a body at its new position, and update its spring.
 
-    Adds the force that this takes to totals, and a point within reach to what touches the body.
+    The force that this requires is added to totals. The mass of a point within reach is added to
+    the mass in contact with the body.
 
     Returns:
-        Whether the point was too near.
+        Whether the point was too close.
     """
     y, normal, w = work[0], work[1], work[2]
     distance = gap(x_next, first, i, body, y, normal)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Signed distance of one point from a rigid shape, compiled.
+"""Signed distance of one point from a rigid shape, compiled by numba.
 
-A box has a formula. All other shapes are sampled on a lattice of their own: the distance and its
-gradient are interpolated between samples, linearly in each direction. So a contact law is one
-function of one point, whatever the shape is, and what it costs does not depend on the number of
-edges or triangles.
+The distance from a box has a formula. All other shapes are sampled on their own lattice, and the
+distance and its gradient are interpolated linearly in each direction between samples. Therefore a
+contact law is the same function of one point for any shape, and its cost does not depend on the
+number of edges or triangles.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -22,19 +22,19 @@ from fenicsmpm.basis.blocks import OPTIONS, inline
 
 Array = npt.NDArray[np.float64]
 
-_MOST = 20_000_000  # samples
-_FEW = 5e-2  # of a gradient, below which it says no direction
+_MOST = 20_000_000  # largest number of samples
+_FEW = 5e-2  # norm of a gradient below which it has no meaningful direction
 
 
 class Distance(NamedTuple):
-    """What the compiled distance is found from.
+    """Data of the compiled distance.
 
     Attributes:
-        lower: first corner ``(d,)`` of a box, or of the lattice of samples [m].
-        upper: opposite corner.
-        count: samples in each direction ``(d,)``, 0 for a box.
-        per_metre: samples per length.
-        samples: ``(n, 1 + d)``, distances and their gradients, the last direction fastest.
+        lower: first corner of a box, or of the lattice of samples ``(d,)`` [m].
+        upper: opposite corner ``(d,)`` [m].
+        count: number of samples in each direction ``(d,)``, 0 for a box.
+        per_metre: samples per length in each direction ``(d,)`` [1/m].
+        samples: distances and their gradients ``(n, 1 + d)``, with the last direction fastest.
     """
 
     lower: Any
@@ -45,11 +45,11 @@ class Distance(NamedTuple):
 
 
 def of_box(lower: Array, upper: Array) -> Distance:
-    """Distance from an axis-parallel box.
+    """Return the distance from an axis-parallel box.
 
     Args:
         lower: corner ``(d,)`` [m].
-        upper: opposite corner; both may have infinite components.
+        upper: opposite corner ``(d,)`` [m]. Both corners may have infinite components.
     """
     d = len(lower)
     none = np.zeros(d)
@@ -57,21 +57,21 @@ def of_box(lower: Array, upper: Array) -> Distance:
 
 
 def sampled(shape: Any, spacing: float, margin: float) -> tuple[Distance, float]:
-    """Sample a shape's distance.
+    """Sample the distance from a shape.
 
     Args:
-        shape: has ``bounds()``, two corners ``(d,)`` of a box that contains it, and ``distance`` of
-            positions ``(3, n)`` [m].
-        spacing: of the samples at most [m].
-        margin: how far samples go around that box [m].
+        shape: object with ``bounds()``, two corners ``(d,)`` of a box that contains it, and
+            ``distance`` of positions ``(3, n)`` [m].
+        spacing: largest spacing of the samples [m].
+        margin: distance by which the samples extend beyond that box [m].
 
     Returns:
-        The samples, and the greatest error of the interpolated distance within the margin of the
-        surface, as found in the middle between samples.
+        The samples, and the largest error [m] of the interpolated distance within the margin of the
+        surface. The error is measured at the centres between samples.
 
     Raises:
-        ValueError: for too many samples, distances that are not finite, or a function whose slope
-            is not one near the surface.
+        ValueError: if there would be too many samples, a distance is not finite, or the slope of
+            the function is not one near the surface.
     """
     first, last = shape.bounds()
     lower, upper = first - margin, last + margin
@@ -87,14 +87,14 @@ def sampled(shape: Any, spacing: float, margin: float) -> tuple[Distance, float]
     if not values.min() < 0 < values.max():
         raise ValueError(
             f"the signed distance lies between {values.min():g} and {values.max():g} m within "
-            f"{lower} ... {upper}: it must be negative inside of the body and positive outside"
+            f"{lower} ... {upper}: it must be negative inside the body and positive outside"
         )
     slopes = np.gradient(values, *steps)
     near = np.abs(values) < margin
     steepness = float(np.median(np.sqrt(np.sum([g[near] ** 2 for g in slopes], axis=0))))
     if not 0.8 < steepness < 1.25:
         raise ValueError(
-            f"the slope of a signed distance is 1, but here it is about {steepness:.3g} near the "
+            f"the slope of a signed distance must be 1, but is about {steepness:.3g} near the "
             "surface: divide a level set by the norm of its gradient"
         )
     samples = np.stack([values, *slopes], axis=-1).reshape(-1, 1 + len(count))
@@ -115,23 +115,24 @@ def _values(shape: Any, axes: list[Array]) -> Array:
     values = np.asarray(shape.distance(x), dtype=np.float64)
     if values.shape != x.shape[1:] or not np.isfinite(values).all():
         raise ValueError(
-            "a signed distance of positions (3, n) is n finite numbers, not an array of shape "
-            f"{values.shape} with {np.count_nonzero(~np.isfinite(values))} that are not finite"
+            "the signed distance of positions (3, n) must be n finite numbers, not an array of "
+            f"shape {values.shape} with {np.count_nonzero(~np.isfinite(values))} values that are "
+            "not finite"
         )
     return values
 
 
 @inline
 def distance_at(field, y, normal):
-    """Distance of a point from a shape and the direction away from it.
+    """Return the distance of a point from a shape, and set the direction away from it.
 
     Args:
         field: the ``Distance``.
-        y: position ``(d,)`` in the frame in which the shape was given.
-        normal: to be set, ``(d,)``; zero where there is no direction.
+        y: position ``(d,)`` in the frame in which the shape was given [m].
+        normal: direction ``(d,)``, overwritten. It is zero where there is no direction.
 
     Returns:
-        The distance, negative inside; infinite beyond all samples.
+        The distance [m], negative inside, infinite outside the samples.
     """
     if len(field.samples) > 0:
         return _interpolate(field, y, normal)
@@ -189,7 +190,12 @@ def _interpolate(field, y, normal):
 
 @njit(**OPTIONS)
 def distances_at(field, y):
-    """Distances ``(n,)`` and normals ``(n, d)`` of points ``(n, d)``, see ``distance_at``."""
+    """Return distances ``(n,)`` and normals ``(n, d)`` of points; see ``distance_at``.
+
+    Args:
+        field: the ``Distance``.
+        y: positions ``(n, d)`` in the frame in which the shape was given [m].
+    """
     distances, normals = np.empty(len(y)), np.zeros(y.shape)
     for p in range(len(y)):
         distances[p] = distance_at(field, y[p], normals[p])

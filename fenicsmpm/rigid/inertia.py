@@ -13,34 +13,34 @@ Array = npt.NDArray[np.float64]
 
 
 class Inertia:
-    """What resists the motion of a rigid body.
+    """Mass and moments of inertia of a rigid body.
 
     Args:
-        mass: [kg]; in the plane per length, [kg/m].
-        tensor: moments of inertia about the centre ``(3, 3)`` [kg m^2]; in the plane one number
-            [kg m], about the axis normal to it.
-        centre: of mass ``(d,)`` at the start [m].
+        mass: mass [kg], in the plane per length [kg/m].
+        tensor: tensor of inertia about the centre ``(3, 3)`` [kg m^2]. In the plane one number, the
+            moment about the normal axis per length [kg m].
+        centre: centre of mass at the start ``(d,)`` [m].
 
     Attributes:
-        moments: about the principal axes ``(3,)``.
-        axes: principal axes at the start ``(3, 3)``, the columns of a rotation.
+        moments: moments about the principal axes ``(3,)`` [kg m^2], in the plane [kg m].
+        axes: principal axes at the start ``(3, 3)``, the columns of a rotation matrix.
 
     Raises:
-        ValueError: for a mass that is not positive and finite, a tensor of another shape, that is
-            not symmetric, not positive definite or not that of any body, since each principal
-            moment is at most the sum of the others.
+        ValueError: if the mass is not positive and finite, or the tensor has a wrong shape or is
+            not symmetric and positive definite. Also if no body can have the tensor, because a
+            principal moment is larger than the sum of the others.
     """
 
     def __init__(self, mass: float, tensor: npt.ArrayLike, centre: npt.ArrayLike) -> None:
-        """Check and find the principal axes."""
+        """Check the arguments, and find the principal axes."""
         self.mass = float(mass)
         self.centre: Array = np.array(centre, dtype=np.float64)
         self.tensor: Array = np.array(tensor, dtype=np.float64)
         d = len(np.atleast_1d(self.centre))
         if not 0 < self.mass < math.inf:
-            raise ValueError(f"a free body needs a positive finite mass: {mass}")
+            raise ValueError(f"a free body needs a positive finite mass: {mass} kg")
         if self.centre.shape not in ((2,), (3,)) or not np.isfinite(self.centre).all():
-            raise ValueError(f"a centre of mass is 2 or 3 finite numbers: {self.centre}")
+            raise ValueError(f"a centre of mass needs 2 or 3 finite numbers: {self.centre}")
         if self.tensor.shape != ((3, 3) if d == 3 else ()):
             raise ValueError(
                 "an inertia is a tensor (3, 3) in space and one number in the plane, not an array "
@@ -49,19 +49,19 @@ class Inertia:
         full = self.tensor if d == 3 else self.tensor * np.eye(3)
         size = np.abs(full).max()
         if not (np.isfinite(full).all() and np.abs(full - full.T).max() <= 1e-9 * size):
-            raise ValueError(f"a tensor of inertia is symmetric and finite: {self.tensor}")
+            raise ValueError(f"a tensor of inertia must be symmetric and finite: {self.tensor}")
         moments, axes = np.linalg.eigh(full)
         self.moments: Array = moments
         self.axes: Array = axes
         if not self.moments[0] > 0:
             raise ValueError(
-                "a tensor of inertia is positive definite, but its principal moments are "
+                "a tensor of inertia must be positive definite, but its principal moments are "
                 f"{self.moments}"
             )
         if self.moments[2] > (1 + 1e-9) * (self.moments[0] + self.moments[1]):
             raise ValueError(
-                f"no body has principal moments of {self.moments}: the largest is above the sum of "
-                "the others"
+                f"no body has the principal moments {self.moments}: the largest one must not be "
+                "above the sum of the others"
             )
         if np.linalg.det(self.axes) < 0:
             self.axes[:, 0] *= -1
@@ -72,20 +72,20 @@ class Inertia:
 
 
 def inertia_of(shape: Any, density: float) -> Inertia:
-    """Inertia of a body of equal density all over.
+    """Return the inertia of a homogeneous body.
 
     Args:
-        shape: has its ``volume``, ``centroid`` and ``second_moment``, as those of
-            ``fenicsmpm.shapes`` do.
-        density: [kg/m^3].
+        shape: shape with ``volume``, ``centroid`` and ``second_moment``, such as those of
+            ``fenicsmpm.shapes``.
+        density: density [kg/m^3].
 
     Raises:
-        ValueError: for a density that is not positive and finite, or a shape without end.
+        ValueError: if the density is not positive and finite, or the shape is unbounded.
     """
     if not 0 < density < math.inf:
-        raise ValueError(f"a density is positive and finite: {density}")
+        raise ValueError(f"the density must be positive and finite: {density} kg/m^3")
     if not np.isfinite(shape.volume):
-        raise ValueError(f"a body without end has no inertia: {shape}")
+        raise ValueError(f"an unbounded body has no inertia: {shape}. Use a bounded shape.")
     second = density * shape.second_moment
     trace = float(np.trace(second))
     tensor = trace * np.eye(3) - second if len(second) == 3 else trace

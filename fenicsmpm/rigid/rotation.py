@@ -12,20 +12,33 @@ Array = npt.NDArray[np.float64]
 
 
 def product(p: Array, q: Array) -> Array:
-    """Product ``(4,)`` of quaternions, real part first: first q is done, then p."""
+    """Return the product ``(4,)`` of quaternions with real parts first: rotate by q, then by p.
+
+    Args:
+        p: quaternion ``(4,)``.
+        q: quaternion ``(4,)``.
+    """
     a, u, b, v = p[0], p[1:], q[0], q[1:]
     return np.array([a * b - u @ v, *(a * v + b * u + np.cross(u, v))])
 
 
 def about(vector: Array) -> Array:
-    """Quaternion ``(4,)`` of the rotation about a vector ``(3,)`` by its length [rad]."""
+    """Return the quaternion ``(4,)`` of the rotation about a vector by its length.
+
+    Args:
+        vector: rotation vector ``(3,)`` [rad].
+    """
     angle = math.sqrt(vector @ vector)
     share = math.sin(angle / 2) / angle if angle > 0 else 0.5
     return np.array([math.cos(angle / 2), *(share * vector)])
 
 
 def matrix(q: Array) -> Array:
-    """Matrix ``(3, 3)`` of a quaternion of length one."""
+    """Return the rotation matrix ``(3, 3)`` of a unit quaternion.
+
+    Args:
+        q: quaternion ``(4,)`` of length one.
+    """
     a, (b, c, d) = q[0], q[1:]
     return np.array(
         [
@@ -37,24 +50,31 @@ def matrix(q: Array) -> Array:
 
 
 def skew(w: Array) -> Array:
-    """Matrix ``(3, 3)`` of the cross product with a vector."""
+    """Return the matrix ``(3, 3)`` of the cross product with a vector.
+
+    Args:
+        w: vector ``(3,)``.
+    """
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
 def spin(q: Array, momentum: Array, axes: Array, moments: Array, dt: float) -> Array:
-    """Rotation of a body without torque after a time.
+    """Return the rotation of a torque-free body after a time.
 
-    The body turns about its principal axes one after the other, with the exact rotation about
-    each (A. Dullweber, B. Leimkuhler, R. McLachlan, J. Chem. Phys. 107, 1997). That is symplectic,
-    reversible and of second order. It keeps the angular momentum, and the energy swings without a
-    drift.
+    The body rotates about its principal axes one after the other, with the exact rotation about
+    each (A. Dullweber, B. Leimkuhler, R. McLachlan, J. Chem. Phys. 107, 1997). The method is
+    symplectic, reversible and of second order. It conserves the angular momentum, and the energy
+    oscillates without drift.
 
     Args:
-        q: quaternion of the rotation since the start.
-        momentum: angular momentum about the centre ``(3,)`` in space, which stays.
+        q: quaternion of the rotation since the start ``(4,)``.
+        momentum: angular momentum about the centre in space ``(3,)`` [kg m^2/s], which is constant.
         axes: principal axes at the start ``(3, 3)``, in columns.
-        moments: about them.
+        moments: moments about these axes ``(3,)`` [kg m^2].
         dt: time [s].
+
+    Returns:
+        Quaternion of the rotation after the time ``(4,)``.
     """
     pi = axes.T @ (matrix(q).T @ momentum)
     for i, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):

@@ -355,7 +355,8 @@ class NewtonSolver:
                 self._require_finite(self._residual_norm(), result, "after the full step")
                 raise NewtonError(
                     "diverged",
-                    f"no step length down to {length * 2:g} decreases |R| = {norm:.3e}",
+                    f"no step length down to {length * 2:g} decreases |R| = {norm:.3e}; try "
+                    "smaller load steps, and check the tangent",
                     result.residuals,
                 )
         self._require_finite(new, result, f"in iteration {result.iterations + 1}")
