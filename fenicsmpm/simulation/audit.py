@@ -106,7 +106,7 @@ class Audit(Observer):
         if isinstance(sim, ExplicitMPM):
             return
         if len(sim.schemes) > 1:
-            raise ValueError("an audit is of one unknown, not of coupled ones: there are no sums")
+            raise ValueError("an audit needs a single unknown: it does not add up coupled ones")
         space = sim.scheme.histories["v"].function_space
         self._effective = EffectiveProjection(sim.bodies, space, sim.scheme.lumping)
         points = _compat.interpolation_points(space)

@@ -51,7 +51,7 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
 
-# Steps after which carried points are looked at, which may bring all points up to date
+# Number of steps after which carried points are checked, which may bring all points up to date
 _LOOK = 100
 
 

@@ -59,10 +59,10 @@ class TornOff:
             if mesh.comm.rank == 0:
                 logger.warning(
                     "%d of %d carried points are more than half a cell away from the cells that "
-                    "hold their body at t = %g s, one at (%s) m: what they load, support or touch "
-                    "does not act on the body any more. Where they have torn off, tie the nodes "
-                    "around (cells.Tying), as a ghost penalty resists increments only, correct "
-                    "weights (cells.correct_weights), or take more points in a cell",
+                    "hold their body at t = %g s, one at (%s) m: their loads, supports or contacts "
+                    "no longer act on the body. If they have torn off, tie the nodes around them "
+                    "(cells.Tying), as a ghost penalty resists increments only, correct weights "
+                    "(cells.correct_weights), or use more points per cell",
                     count, points.size_global, time, ", ".join(f"{x:.6g}" for x in place),
                 )  # fmt: skip
             return
