@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Time of assembling the complete ASGS form over material points, beside dolfinx' own assembly.
+"""Time to assemble the complete ASGS form over material points, compared with dolfinx.
 
-Both assemble the same UFL form, with the deformation gradient stored at each of the 12 points of
-a cell, on the same mesh, into the same kind of matrix, in turns within one run. For dolfinx the
+Both assemble the same UFL form, with a deformation gradient stored at each of the 12 points of
+a cell, on the same mesh, into the same kind of matrix, alternately in one run. For dolfinx the
 points are a custom quadrature rule and the deformation gradient is a function on it.
 
 With ``--undeformed`` the form has no stored deformation gradient. With linear functions it is
-then a polynomial in each cell: dolfinx moves nearly everything out of its quadrature loop, and we
-sum over a few sites instead of all points.
+then a polynomial in each cell. dolfinx moves nearly everything out of its quadrature loop, and this
+package sums over a few sites instead of all points.
 """
 
 import argparse
@@ -44,14 +44,14 @@ class OverCells:
 
 
 def reference_points(dim):
-    """12 points in the reference simplex, as random as material points are."""
+    """Return 12 points in the reference simplex, as random as material points are."""
     rng = np.random.default_rng(1)
     barycentric = rng.dirichlet(np.full(dim + 1, 2.0), PER_CELL)
     return barycentric[:, 1:], np.full(PER_CELL, 1 / PER_CELL / (2 if dim == 2 else 6))
 
 
 def seed(domain, xi):
-    """The same points in every cell."""
+    """Seed the same points in every cell."""
     dim = domain.topology.dim
     cells = np.arange(domain.topology.index_map(dim).size_local, dtype=np.int32)
     corners = domain.geometry.x[_compat.geometry_dofmap(domain)[cells], :dim]
@@ -68,7 +68,7 @@ def seed(domain, xi):
 
 
 def alternate(tasks, repeats):
-    """Medians of the tasks' times in s, taken in turns, after one run to warm up."""
+    """Return median times of the tasks in s, run alternately after one warm-up."""
     times = {name: [] for name in tasks}
     for k in range(repeats + 1):
         for name, task in tasks.items():
@@ -80,7 +80,7 @@ def alternate(tasks, repeats):
 
 
 def measure(dim, cells, deformed, threads, repeats):
-    """Microseconds a point, and seconds of compilation, for one space dimension."""
+    """Return microseconds per point, and seconds of compilation, for one space dimension."""
     n = round((cells / (2 if dim == 2 else 6)) ** (1 / dim))
     create = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
     domain = create(MPI.COMM_WORLD, *[n] * dim)
@@ -146,14 +146,14 @@ def measure(dim, cells, deformed, threads, repeats):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--cells", type=int, default=12000, help="about so many cells")
-    parser.add_argument("--repeats", type=int, default=7, help="runs of which the median counts")
+    parser.add_argument("--cells", type=int, default=12000, help="approximate number of cells")
+    parser.add_argument("--repeats", type=int, default=7, help="number of runs for the median")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="numbers of threads")
     parser.add_argument("--undeformed", action="store_true", help="no stored deformation gradient")
     options = parser.parse_args()
     print(machine.describe())
     kind = "undeformed points" if options.undeformed else "deformation gradient at each point"
-    print(f"microseconds a point, complete ASGS form, P1-P1, {PER_CELL} points a cell, {kind}")
+    print(f"microseconds per point, complete ASGS form, P1-P1, {PER_CELL} points per cell, {kind}")
     columns = [f"{k} thread{'s' * (k > 1)}" for k in options.threads]
     print(f"{'':14}{'points':>9}" + "".join(f"{c:>12}" for c in [*columns, "dolfinx", "ratio"]))
     for dim in (2, 3):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What it costs, and what it saves, to spread points anew over ranks as they gather.
+"""Cost and gain of redistributing points over ranks as they gather.
 
-The column of ``demos/dam_break.py`` with small waves of sound, once on the mesh as dolfinx spreads
-it, and once as ``Rebalanced`` does. After the first step, in which loops are compiled:
+The water column of ``demos/dam_break.py`` with a low speed of sound runs once on the mesh as
+dolfinx distributes it, and once with ``Rebalanced``. Times are taken after the first step, in which
+loops are compiled:
 
     ./run mpirun -n 2 python benchmarks/balance.py --per-metre 16
 """
@@ -20,11 +21,11 @@ from fenicsmpm.materials import NewtonianFluid
 from fenicsmpm.simulation import Rebalanced, imbalance
 
 DENSITY, GRAVITY, WATER = 1000.0, 9.81, NewtonianFluid(kappa=2e6, mu=1e-3)  # kg/m^3, m/s^2, Pa
-LENGTH, HEIGHT, WALL, CEILING = 4.0, 2.0, 12.0, 4.0  # of the water, of the box, m
+LENGTH, HEIGHT, WALL, CEILING = 4.0, 2.0, 12.0, 4.0  # of the water and of the box, m
 
 
 def build(domain, spacing, dt):
-    """The water behind its gate, which is gone."""
+    """Build the water column without its gate."""
     water = points.lattice(domain, spacing, inside=lambda x: (x[0] < LENGTH) & (x[1] < HEIGHT))
     formulations.set_initial_state(water, DENSITY)
     basis.use(water, "quadratic")
@@ -37,7 +38,7 @@ def build(domain, spacing, dt):
 
 
 def main(per_metre: int = 16, per_side: int = 3, end: float = 0.8, most: float = 1.25):
-    """Points on the fullest rank over the mean, and seconds, with and without."""
+    """Print points on the fullest rank over the mean, and seconds, with and without rebalancing."""
     comm, h = MPI.COMM_WORLD, 1 / per_metre
     shape = [round(WALL / h), round(CEILING / h)]
     dt = 0.1 * h / np.sqrt(WATER.kappa / DENSITY)

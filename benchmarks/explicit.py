@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Speed of explicit steps: million particle-steps a second on ranks and threads, and memory.
+"""Speed of explicit steps: million particle-steps per second on ranks and threads, and memory.
 
-A block of neo-Hookean material, 2 points a direction in a cell, quadratic B-splines, F-bar, in the
-middle of a lattice that is little larger than it, or of several times its side. Each case is a
-process of its own, or one for each rank, bound to a core; ``Rebalanced`` spreads points over ranks.
-Memory is the most that the process takes in the steps that are timed beyond what it took with
-dolfinx' mesh and function space, compiled code aside. "Each step" is the time of a step where all
-steps are yielded, by that where a block is.
+A block of neo-Hookean material, with 2 points per direction in a cell, quadratic B-splines and
+F-bar, lies in the middle of a lattice. The lattice is little larger than the block, or several
+times its side. Each case is a process of its own, or one per rank, bound to a core; ``Rebalanced``
+distributes the points. Memory is the peak during the timed steps, above that of dolfinx' mesh and
+function space, without compiled code. "each step" is the time of a step if every step is yielded,
+over that of a step in a block.
 """
 
 import argparse
@@ -22,7 +22,7 @@ STAGES = ("P2G", "forces", "grid", "G2P", "stress and P2G", "begin", "convect")
 
 
 def lattice(dim, n, room):
-    """A lattice around a block of n cells a direction, with one corner at 0."""
+    """Return a lattice around a block of n cells per direction, with one corner at 0."""
     from mpi4py import MPI
 
     import numpy as np
@@ -36,7 +36,7 @@ def lattice(dim, n, room):
 
 
 def simulation(domain, n, functions, way):
-    """A block that is sheared a little, by kernels or by forms, in steps of equal length."""
+    """Return a slightly sheared block, by kernels or by forms, with steps of equal length."""
     import numpy as np
 
     from fenicsmpm import ExplicitMPM, basis, formulations, points
@@ -49,19 +49,19 @@ def simulation(domain, n, functions, way):
     )
     if functions != "linear":
         basis.use(body, functions)
-    # edges move by less than a cell in all steps that are timed
+    # edges move by less than a cell in all timed steps
     shear = 0.05 / n * (np.ones((dim, dim)) - np.eye(dim))
     formulations.set_initial_state(body, 1.0)
     body["v"] = (body.x - n / 2) @ shear  # explicit steps need no gradient of these
     law = NeoHookean(E=100.0, nu=0.3).pointwise()
     R = formulations.internal_force(z.test.v, body, law, fbar=formulations.FBar())
-    # points that may leave the mesh go by forms
+    # points that may leave the mesh are treated by forms
     on_exit = "error" if way == "kernels" else "clamp"
     return ExplicitMPM(R, z, body, on_exit=on_exit, dt=0.4 / law.wave_speed_modulus**0.5)
 
 
 def measure(dim, count, room, repeats, functions, way):
-    """One case, on all ranks that this runs on."""
+    """Measure one case on all ranks."""
     from mpi4py import MPI
 
     import numpy as np
@@ -73,7 +73,7 @@ def measure(dim, count, room, repeats, functions, way):
     n = round((count / 2**dim) ** (1 / dim))
 
     def run(spread, singly=False):
-        """Seconds for a step, of some that are yielded together or one by one."""
+        """Return seconds per step, with steps yielded together or one by one."""
         comm.barrier()
         start, number = time.perf_counter(), spread.sim.number
         until = spread.sim.time + steps * spread.sim.dt
@@ -95,7 +95,7 @@ def measure(dim, count, room, repeats, functions, way):
     sim = spread.sim
     sim.seconds.clear()
     ctypes.CDLL(None).malloc_trim(0)
-    Path("/proc/self/clear_refs").write_text("5")  # forget what was the most so far
+    Path("/proc/self/clear_refs").write_text("5")  # reset the peak of memory
     blocks = [run(spread) for _ in range(repeats)]
     used = comm.allreduce(_memory("VmHWM") - memory)
     shares = dict(sim.seconds)
@@ -113,7 +113,7 @@ def measure(dim, count, room, repeats, functions, way):
 
 
 def _memory(name):
-    """Memory of this process in bytes: "VmRSS" at present, "VmHWM" the most so far."""
+    """Return the memory of this process in bytes: "VmRSS" at present, "VmHWM" at its peak."""
     ctypes.CDLL(None).malloc_trim(0)
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(name):
@@ -122,7 +122,7 @@ def _memory(name):
 
 
 def case(dim, count, room, ranks, threads, options):
-    """Result of a case that runs by itself."""
+    """Run a case as a process of its own and return its result."""
     arguments = [dim, int(count), room, options.repeats, options.functions, options.way]
     command = [sys.executable, __file__, "--measure", *map(str, arguments)]
     if ranks > 1:
@@ -139,10 +139,10 @@ def main():
     add = parser.add_argument
     add("--points", type=float, nargs="+", default=[1e4, 1e5, 1e6], help="(default: %(default)s)")
     add("--dimensions", type=int, nargs="+", default=[2, 3], help="(default: %(default)s)")
-    add("--rooms", type=float, nargs="+", default=[1, 5], help="lattice's side by the block's")
+    add("--rooms", type=float, nargs="+", default=[1, 5], help="lattice's side over the block's")
     add("--functions", default="quadratic", help="(default: %(default)s)")
     add("--way", choices=["kernels", "forms"], default="kernels", help="(default: %(default)s)")
-    add("--repeats", type=int, default=3, help="blocks of steps, of which the median is taken")
+    add("--repeats", type=int, default=3, help="number of blocks of steps for the median")
     add("--measure", nargs=6, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure:

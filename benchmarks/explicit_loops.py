@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The loops over nodes of explicit steps alone, without memory: what is the least a step takes.
+"""The loops over nodes of explicit steps alone, in cache: a lower bound of the time of a step.
 
-The nodes of a window and the functions at a block of eight points stay in the first cache. With
-quadratic B-splines in space, each way takes 132 fused multiply-adds of four numbers a point; a
-processor that does two at once needs 66 cycles.
+The nodes of a window and the functions at a block of eight points stay in the first-level cache.
+With quadratic B-splines in 3D, each direction of transfer takes 132 fused multiply-adds of four
+numbers per point. A processor that does two at once needs 66 cycles.
 """
 
 import time
@@ -17,7 +17,7 @@ from fenicsmpm.lanes import LANES, LINE_LANES
 from fenicsmpm.transfer import fused_to_nodes, fused_to_points
 from fenicsmpm.transfer.windows import scratch_rows
 
-WIDTH = 3  # nodes in a direction
+WIDTH = 3  # nodes per direction
 BLOCKS = 5000
 
 
@@ -48,14 +48,14 @@ def loops(dim):
 
 @numba.njit
 def additions(n, x):
-    """Sums that wait for each other: three cycles each."""
+    """Add numbers in sequence, which takes three cycles each."""
     for _ in range(n):
         x += 1e-9
     return x
 
 
 def seconds(run, *arguments):
-    """Of the fastest of twenty runs."""
+    """Return the time of the fastest of twenty runs in s."""
     best = np.inf
     for _ in range(21):
         begin = time.perf_counter()
@@ -67,7 +67,7 @@ def seconds(run, *arguments):
 def main():
     rng = np.random.default_rng(0)
     per_cycle = seconds(additions, 1000000, 0.0) / 3e6
-    print(f"{'':4}{'':17}{'nodes':10}{'ns a point':>11}{'cycles':>8}")
+    print(f"{'':4}{'':17}{'nodes':10}{'ns per point':>13}{'cycles':>8}")
     for dim in (2, 3):
         shape, w = window(dim, WIDTH), rng.random((3 * WIDTH, LANES))
         first = np.array([a * shape.far + b * shape.near for a in range(4) for b in range(4)])
@@ -76,7 +76,7 @@ def main():
             for nodes, bases in (("the same", same), ("others", rng.choice(first, same.shape))):
                 a_point = seconds(run, bases, w, w) / (BLOCKS * LANES)
                 cycles = a_point / per_cycle
-                print(f"{dim}D  {name:17}{nodes:10}{1e9 * a_point:11.1f}{cycles:8.0f}")
+                print(f"{dim}D  {name:17}{nodes:10}{1e9 * a_point:13.1f}{cycles:8.0f}")
 
 
 if __name__ == "__main__":

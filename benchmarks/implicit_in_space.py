@@ -2,9 +2,9 @@
 """Cost of implicit steps in three dimensions, from 5,000 to 1,000,000 unknowns.
 
 A block of incompressible rubber on tetrahedra falls onto its base: ASGS, ghost penalty, Bossak's
-scheme, 8 points a cube of the mesh, shared out evenly among ranks. Steps are given in times that a
-shear wave takes through a cell. Medians of some steps after two to warm up. Memory is the most that
-a rank takes.
+scheme, 8 points per cube of the mesh, distributed evenly among ranks. Step lengths are given in
+times that a shear wave takes through a cell. Results are medians of some steps after two warm-up
+steps. Memory is the peak of one rank.
 
     NUMBA_NUM_THREADS=1 ./run python benchmarks/implicit_in_space.py --n 16 --waves 10
 """
@@ -29,7 +29,7 @@ DENSITY, E, NU = 1000.0, 1e5, 0.5  # kg/m^3, Pa
 
 
 def block(n, *arguments, **options):
-    """Block of 1 m, n cells along each side, in a mesh that is a quarter larger."""
+    """Return a block of 1 m with n cells along each side, in a mesh that is a quarter larger."""
     corners = [(0, 0, 0), (1.25, 1.25, 1.25)]
     domain = mesh.create_box(MPI.COMM_WORLD, corners, [n + n // 4] * 3)
     run = Rebalanced(lambda domain: block_on(domain, n, *arguments, **options), domain)
@@ -38,13 +38,13 @@ def block(n, *arguments, **options):
 
 
 def block_on(domain, n, waves, stabilization="asgs", nu=NU, options=None, tied=False):
-    """The same on a mesh."""
+    """Return the block on a given mesh."""
     body = points.lattice(domain, 0.5 / n, inside=lambda x: x.max(axis=0) < 1)
     formulations.set_initial_state(body, DENSITY)
     z = formulations.Unknown(domain, "u", "p")
     law = NeoHookean(E, nu)
     scheme = formulations.Bossak(z, dt=waves / n / np.sqrt(law.mu / DENSITY))
-    # as much as bends the block, but does not turn it inside out in long steps
+    # enough to bend the block without turning it inside out in long steps
     gravity = ufl.as_vector((0.0, 0.0, -9.81 if waves < 2 else -0.3))
     force = scheme.force(body, gravity)
     R = formulations.stabilized(stabilization, z, body, law, force=force)
@@ -65,7 +65,7 @@ def main(
     stabilization: str = "asgs",
     nu: float = NU,
 ):
-    """Time, iterations and memory of a step."""
+    """Print time, iterations and memory of a step."""
     io.say(machine.describe())
     columns = ("unknowns", "waves a step", "step [s]", "assembly [s]", "linear [s]", "Newton")
     formats = ("d", "g", ".2f", ".2f", ".2f", ".1f", "s", ".0f", ".0f")

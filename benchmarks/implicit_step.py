@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Time and memory of a step of the bending beam, stage by stage.
 
-Case 1 of the study `columns.py`: cells of 0.25 m, 12 points a cell, ASGS. Medians over some
-steps after a few to warm up.
+This is case 1 of the study `columns.py`: cells of 0.25 m, 12 points per cell, ASGS. Times are
+medians of some steps after a few warm-up steps.
 """
 
 import argparse
@@ -20,17 +20,17 @@ STAGES = ("map", "predict", "matrix pattern", "assembly", "linear solver", "conv
 
 
 def bytes_per_point(points):
-    """Memory of the arrays that each point carries."""
+    """Return the memory of the arrays that each point carries."""
     names = ("x", "weight", "xi", "cell", "id", "tag", *points.field_names)
     return sum(points[name].nbytes for name in names) / len(points)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--size", type=float, default=0.25, help="size of cells in m")
-    parser.add_argument("--points", type=int, default=12, help="material points a cell")
-    parser.add_argument("--steps", type=int, default=20, help="steps to measure")
-    parser.add_argument("--threads", type=int, default=2, help="threads of assembly")
+    parser.add_argument("--size", type=float, default=0.25, help="cell size in m")
+    parser.add_argument("--points", type=int, default=12, help="material points per cell")
+    parser.add_argument("--steps", type=int, default=20, help="number of measured steps")
+    parser.add_argument("--threads", type=int, default=2, help="number of threads of assembly")
     options = parser.parse_args()
     numba.set_num_threads(options.threads)
     print(machine.describe())
@@ -50,9 +50,9 @@ def main():
     total = float(np.median(np.sum(list(times.values()), axis=0)))
     print(
         f"{len(body)} points in {cells} cells, {options.threads} threads, "
-        f"{np.mean(iterations):.2f} Newton iterations a step, median of {options.steps} steps"
+        f"{np.mean(iterations):.2f} Newton iterations per step, median of {options.steps} steps"
     )
-    print(f"{'stage':<34}{'s a step':>10}{'share':>9}")
+    print(f"{'stage':<34}{'s per step':>10}{'share':>9}")
     titles = {
         "map": "map to the grid and back",
         "predict": "predict, check volumes",
@@ -68,7 +68,7 @@ def main():
     around = (median["map"] + median["convect"]) / total
     print(f"assembly of one Newton iteration  {assembly:10.3f}")
     print(f"locate, map and convect           {around:10.1%} of the step")
-    print(f"memory of the points' arrays      {bytes_per_point(body):10.0f} bytes a point")
+    print(f"memory of the points' arrays      {bytes_per_point(body):10.0f} bytes per point")
 
 
 if __name__ == "__main__":

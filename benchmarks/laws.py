@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Time of constitutive laws at a point in space, as the fused kernels of explicit steps call them.
+"""Time of constitutive laws per point in 3D, as the fused kernels of explicit steps call them.
 
-Blocks of eight points stay in the first cache. Deformation gradients are random and differ from the
-identity by up to 1e-4 or 0.05. Laws with a state go on from where they are, so that they flow if
-they can.
+Blocks of eight points stay in the first-level cache. Deformation gradients are random and differ
+from the identity by up to 1e-4 or 0.05. Laws with a state continue from their last state, so that
+they yield if they can.
 """
 
 import math
@@ -42,7 +42,7 @@ LAWS = {
 
 
 def time_of(law, size):
-    """Nanoseconds a point."""
+    """Return nanoseconds per point."""
     set_stresses = stresses(law.update, law.update_eight, law.n_state, law.needs_rate)
 
     @njit
@@ -60,7 +60,7 @@ def time_of(law, size):
         start = time.perf_counter()
         run(F[k], 0.1 * gradient[k], *rest)
         times.append(time.perf_counter() - start)
-    return 1e9 * min(times) / (BLOCKS * LANES)  # of the run that other processes disturbed least
+    return 1e9 * min(times) / (BLOCKS * LANES)  # the run least disturbed by other processes
 
 
 def main():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Time to find the cells of points: from a cell nearby, and from nothing.
+"""Time to find the cells of points, from a nearby cell and without a first guess.
 
 Run: python benchmarks/location.py [--points 1000000] [--cells-per-side 26] [--repeat 5]
 """
@@ -28,7 +28,7 @@ def seconds(call, repeat):
 
 
 def near(x, size, rng):
-    """Positions less than two cells away, still in the unit cube."""
+    """Return positions less than two cells away, still in the unit cube."""
     moved = x + size * rng.uniform(-2.0, 2.0, x.shape) / np.sqrt(3.0)
     return np.abs(np.where(moved > 1.0, 2.0 - moved, moved))
 
@@ -49,7 +49,7 @@ def main():
         (CellType.hexahedron, True),
     ):
         mesh = create_unit_cube(MPI.COMM_SELF, n, n, n, kind)
-        if bent:  # inside of the cube
+        if bent:  # inside the cube
             s = np.sin(np.pi * mesh.geometry.x).prod(axis=1)
             mesh.geometry.x[:] += 0.05 * s[:, None] * [1.0, -0.5, 0.7]
         start = time.perf_counter()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a measured time belongs to: processor, dolfinx and commit."""
+"""Processor, dolfinx version and commit for the head of a table of times."""
 
 import platform
 from pathlib import Path
@@ -10,7 +10,7 @@ import fenicsmpm
 
 
 def describe():
-    """One line for the head of a table of times."""
+    """Return one line with processor, versions and commit."""
     return f"{_processor()}, dolfinx {dolfinx.__version__}, fenicsmpm {_commit()}"
 
 
@@ -24,7 +24,7 @@ def _processor():
 
 
 def _commit():
-    """Hash of the checked-out commit, without git, which need not be there."""
+    """Return the hash of the checked-out commit, without git, which may not be installed."""
     git = Path(__file__).parents[1] / ".git"
     try:
         head = (git / "HEAD").read_text().split()

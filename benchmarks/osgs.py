@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""OSGS beside ASGS: time of a solution and of a step of Cook's membrane in the plane.
+"""OSGS compared with ASGS: time of a solution and of a step of Cook's membrane in 2D.
 
-Both are solved in turns from rest by new solvers, whose forms have been compiled before; medians
-of five times. Steps are those of studies/cooks_membrane_dynamic.py, in turns, too. For steps in
-space see benchmarks/implicit_in_space.py --stabilization osgs.
+Both are solved alternately from rest by new solvers, whose forms have been compiled before. Times
+are medians of five runs. Steps are those of studies/cooks_membrane_dynamic.py, alternately, too.
+For steps in 3D see benchmarks/implicit_in_space.py --stabilization osgs.
 
     NUMBA_NUM_THREADS=1 ./run python benchmarks/osgs.py
 """
@@ -28,7 +28,7 @@ import cooks_membrane_dynamic
 
 
 def solver(domain, body, edge, stabilization):
-    """Of the problem of demos/cooks_membrane.py."""
+    """Return the solver of the problem of demos/cooks_membrane.py."""
     z = formulations.Unknown(domain, "u", "p")
     z.fix("u", lambda x: np.isclose(x[0], 0))
     R = formulations.stabilized(stabilization, z, body, NeoHookean(E=70.0, nu=0.5))  # Pa
@@ -37,7 +37,7 @@ def solver(domain, body, edge, stabilization):
 
 
 def main(sizes: list[int] = [64, 128, 256], repeats: int = 5):
-    """Seconds of a solution by squares a side, and of a step."""
+    """Print seconds of a solution by squares per side, and of a step."""
     io.say(machine.describe())
     columns = {"squares": "d", "asgs [s]": ".3f", "osgs [s]": ".3f", "ratio": ".2f"}
     table = io.Table({**columns, "Newton": "s", "Krylov": "d"})
@@ -61,7 +61,7 @@ def main(sizes: list[int] = [64, 128, 256], repeats: int = 5):
 
 
 def steps(count: int):
-    """Seconds of a step, of bodies that move."""
+    """Measure seconds per step of bodies that move."""
     sims = {name: cooks_membrane_dynamic.build(name)[0] for name in ("asgs", "osgs")}
     spent, krylov = {name: [] for name in sims}, []
     for _ in range(count):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Cost of output: a series that all ranks write, beside files that rank 0 gathers.
+"""Cost of output: a series that all ranks write, compared with files that rank 0 gathers.
 
-Points in space with the fields u and v (vectors) and sigma (a tensor) are written at some times.
-Memory is the most that rank 0 takes meanwhile above what it took before. The file is in the page
-cache of the system in the end, not yet on the disk.
+Points in 3D with the fields u and v (vectors) and sigma (a tensor) are written at several times.
+Memory is the peak of rank 0 during this, above its memory before. At the end the file is in the
+page cache of the system, not yet on the disk.
 
     ./run mpirun -n 2 python benchmarks/output.py
     ./run mpirun -n 2 python benchmarks/output.py --gathered
@@ -24,7 +24,7 @@ from fenicsmpm import io, points
 
 
 def cloud(n):
-    """At least n points with fields."""
+    """Return at least n points with fields."""
     cells = round(np.ceil((n / 8) ** (1 / 3)))
     domain = mesh.create_unit_cube(MPI.COMM_WORLD, *[cells] * 3, mesh.CellType.hexahedron)
     body = points.lattice(domain, 0.5 / cells)
@@ -35,15 +35,15 @@ def cloud(n):
 
 
 def memory(name):
-    """Of this process in MB: "VmRSS" at present, "VmHWM" the most so far."""
+    """Return the memory of this process in MB: "VmRSS" at present, "VmHWM" at its peak."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return int(next(line for line in lines if line.startswith(name)).split()[1]) / 1024
 
 
 def main(n: int = 1_000_000, times: int = 5, gathered: bool = False):
-    """Seconds and MB of a write."""
+    """Print seconds and MB per write."""
     comm, body = MPI.COMM_WORLD, cloud(n)
-    io.gather_points(body.select([]))  # pyvista is imported
+    io.gather_points(body.select([]))  # imports pyvista
     with tempfile.TemporaryDirectory(dir=".") as name:
         directory = comm.bcast(Path(name).absolute())
         series = io.Series(directory / "body.vtkhdf", body)
@@ -54,7 +54,7 @@ def main(n: int = 1_000_000, times: int = 5, gathered: bool = False):
             else:
                 series.write(float(k))
 
-        Path("/proc/self/clear_refs").write_text("5")  # forget what was the most so far
+        Path("/proc/self/clear_refs").write_text("5")  # reset the peak of memory
         before, seconds = memory("VmRSS"), []
         for k in range(times):
             comm.barrier()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Preconditioners of GMRES for the tangent of steps in space, displacement and pressure.
+"""Preconditioners of GMRES for the tangent of 3D steps with displacement and pressure.
 
-The block of benchmarks/implicit_in_space.py does two steps; each preconditioner then solves the
-last linear system again, to a relative residual of 1e-8. Right preconditioning; rows and columns
-are scaled by the diagonal but for fieldsplit. Nodal blocks have the unknowns of a node one after
-another. Times are those of the set-up and the iterations together.
+The block of benchmarks/implicit_in_space.py does two steps. Each preconditioner then solves the
+last linear system again, to a relative residual of 1e-8. All are right preconditioners; except for
+fieldsplit, rows and columns are scaled by the diagonal. Nodal blocks have the unknowns of a node
+next to each other. Times include set-up and iterations.
 
     ./run python benchmarks/preconditioners.py --n 16
 """
@@ -41,7 +41,7 @@ SCHUR = {
     "fieldsplit_p_pc_type": "bjacobi",
     "fieldsplit_p_sub_pc_type": "ilu",
 }
-# name: options, whether the matrix is ordered by nodes, as blocks of its own type
+# name: options, and the matrix type if the matrix is ordered by nodes
 WAYS = {
     "ILU(0)": (LOCAL, None),
     "ILU(0), RCM": ({**LOCAL, "sub_pc_factor_mat_ordering_type": "rcm"}, None),
@@ -57,7 +57,7 @@ WAYS = {
 
 
 def captured(sim):
-    """Matrix and right-hand side of the last system of two steps."""
+    """Return matrix and right-hand side of the last system of two steps."""
     systems = []
     solve = LinearSolver.solve
 
@@ -75,7 +75,7 @@ def captured(sim):
 
 
 class Nodes:
-    """Owned global degrees of freedom by nodes, (n, 4), in the order of the unknown's."""
+    """Owned global degrees of freedom by nodes, (n, 4), in the order of the unknown."""
 
     def __init__(self, z):
         index_map = z.space.dofmap.index_map
@@ -92,19 +92,19 @@ class Nodes:
         self.x, self.comm = x[self.local[:, 0]], z.mesh.comm
 
     def indices(self, columns):
-        """Index set of some columns."""
+        """Return the index set of some columns."""
         rows = self.all[:, columns].ravel().astype(PETSc.IntType)
         return PETSc.IS().createGeneral(rows, self.comm)
 
     def rigid_motions(self):
-        """Near-null space of elasticity."""
+        """Return the near-null space of elasticity."""
         block = PETSc.Vec().createMPI((self.x.size, None), bsize=3, comm=self.comm)
         block.array_w[:] = self.x.ravel()
         return PETSc.NullSpace().createRigidBody(block)
 
 
 def solved(A, b, nodes, options, kind):
-    """Iterations and seconds of one way; None where it does not converge."""
+    """Return iterations and seconds of one preconditioner; None if it does not converge."""
     own = nodes.indices([0, 1, 2, 3])
     by_nodes = A.createSubMatrix(own, own) if kind in ("aij", "baij") else A.copy()
     rhs, x = by_nodes.createVecs()
@@ -147,7 +147,7 @@ def solved(A, b, nodes, options, kind):
 
 
 def main(n: int = 16, waves: list[float] = [1.0, 10.0, 100.0], nu: list[float] = [0.3, 0.5]):
-    """Iterations and seconds by preconditioner."""
+    """Print iterations and seconds by preconditioner."""
     io.say(machine.describe())
     columns = {"waves a step": "g", "nu": "g", "light nodes": "s", "preconditioner": "s"}
     table = io.Table({**columns, "iterations": "s", "seconds": ".3f"})

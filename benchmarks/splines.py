@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Tangent of the mixed form with quadratic B-splines, and a step of the bending beam with them.
 
-The tangent is that of a deformed block with 8 points a cell, in turns with dolfinx' assembly of the
-same UFL form over as many quadrature points of as many quadratic hexahedra; both element matrices
-have 108 rows in space. The step is that of ``studies/columns.py bending_beam --cases smooth``.
+The tangent is that of a deformed block with 8 points per cell. It alternates with dolfinx' assembly
+of the same UFL form over equally many quadrature points of quadratic hexahedra; both element
+matrices have 108 rows in 3D. The step is that of ``studies/columns.py bending_beam --cases
+smooth``.
 """
 
 import runpy
@@ -30,7 +31,7 @@ LAW = NeoHookean(E=70.0, nu=0.5)
 
 
 def lattice(n, functions=None):
-    """A cube of n cells a side, and a layer of empty ones around it; its points."""
+    """Return a cube of n cells per side with a layer of empty ones around it, and its points."""
     kind = mesh.CellType.hexahedron
     domain = mesh.create_box(MPI.COMM_WORLD, [(-1,) * 3, (n + 1,) * 3], [n + 2] * 3, kind)
     body = points.lattice(domain, 0.5, inside=lambda x: np.all((x > 0) & (x < n), axis=0))
@@ -46,7 +47,7 @@ def disturbed(z, shape):
 
 
 def of_points(n, functions):
-    """Task that assembles the tangent, and the number of points."""
+    """Return a task that assembles the tangent, and the number of points."""
     domain, body = lattice(n, functions)
     z = Unknown(domain, "u", "p")
     body.add_field("F", (3, 3), disturbed(z, (len(body),)))
@@ -56,7 +57,7 @@ def of_points(n, functions):
 
 
 def of_dolfinx(n):
-    """The same with quadratic elements of dolfinx."""
+    """Return the same for quadratic elements of dolfinx."""
     domain = mesh.create_box(
         MPI.COMM_WORLD, [(0,) * 3, (n,) * 3], [n] * 3, mesh.CellType.hexahedron
     )
@@ -79,7 +80,7 @@ def of_dolfinx(n):
 
 
 def main(n: int = 16, repeats: int = 5, steps: int = 10):
-    """Microseconds a point for N cells a side, and seconds for a step."""
+    """Print microseconds per point for N cells per side, and seconds per step."""
     io.say(machine.describe())
     cases = {f"{kind} splines": of_points(n, kind) for kind in ("quadratic", "cubic")}
     cases |= {"linear functions": of_points(n, None), "dolfinx, quadratic": of_dolfinx(n)}

@@ -2,9 +2,9 @@
 """Time from a script's first import to the end of its first step, at its first and second start.
 
 At the first start nothing has been compiled on the machine: caches are new directories. Each start
-is a process of its own. The time within is that of the script alone, without the start of Python;
+is a process of its own. Elapsed times are those of the script alone, without the start of Python.
 "imports" are those of dolfinx, numba and fenicsmpm. Processor times are given for the second start,
-as they depend less on what else the machine does; they include the start of Python.
+as they depend less on other processes; they include the start of Python.
 """
 
 # ruff: noqa: E402
@@ -73,7 +73,7 @@ def explicit_step(dim, name):
 
 
 def starts(dim, name):
-    """Times of the first start and of the second, of its imports, and of the processor [s]."""
+    """Return times of the first and second start, of its imports, and of the processor [s]."""
     with tempfile.TemporaryDirectory() as cache:
         environment = os.environ | {"NUMBA_CACHE_DIR": f"{cache}/numba", "XDG_CACHE_HOME": cache}
         command = [sys.executable, __file__, "--start", str(dim), name]
@@ -83,7 +83,7 @@ def starts(dim, name):
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--start", nargs=2, metavar=("DIM", "LAW"), help="one start, for the others")
+parser.add_argument("--start", nargs=2, metavar=("DIM", "LAW"), help="run a single start")
 arguments = parser.parse_args()
 if arguments.start:
     explicit_step(int(arguments.start[0]), arguments.start[1])

@@ -51,6 +51,6 @@ __all__ = [
     "verification",
 ]
 
-# Ranks share the cores: unless the user says otherwise, each assembles with one thread.
+# Ranks share the cores: by default, each rank assembles with one thread.
 if MPI.COMM_WORLD.size > 1 and "NUMBA_NUM_THREADS" not in os.environ:
     numba.set_num_threads(1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every touch of an API that differs between dolfinx 0.9, 0.10 and 0.11, one function each."""
+"""All uses of APIs that differ between dolfinx 0.9, 0.10 and 0.11, one function each."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fenicsmpm import _jit
 
 
 def kernel_address(compiled: Any, module: Any) -> int:
-    """Address of the only ``tabulate_tensor`` function of a compiled form.
+    """Return the address of the only ``tabulate_tensor`` function of a compiled form.
 
-    The function takes 6 pointers in FFCx 0.9 and 7 (a trailing user pointer) from 0.10 on.
+    The function takes 6 pointers in FFCx 0.9, and 7 (a trailing user pointer) from 0.10 on.
     """
     function = compiled.form_integrals[0].tabulate_tensor_float64
     return int(module.ffi.cast("intptr_t", function))
@@ -29,32 +29,32 @@ def kernel_address(compiled: Any, module: Any) -> int:
 def collapsed(
     space: fem.FunctionSpace,
 ) -> tuple[fem.FunctionSpace, npt.NDArray[np.int32]]:
-    """A part of a space as a space of its own, and its dofs in the whole one, ``(n,)``.
+    """Return a part of a space as a space of its own, and its dofs in the whole one, ``(n,)``.
 
-    Their array comes in a list from 0.10 on.
+    From 0.10 on, dolfinx returns the array of dofs in a list.
 
     Args:
-        space: part of a mixed or blocked space.
+        space: Part of a mixed or blocked space.
     """
     result, dofs = space.collapse()
     return result, np.asarray(dofs, dtype=np.int32).ravel()
 
 
 def bc_dofs(bc: fem.DirichletBC) -> npt.NDArray[np.int32]:
-    """Constrained degrees of freedom of this rank, ghosts included, unrolled.
+    """Return the constrained degrees of freedom of this rank, ghosts included, unrolled.
 
     Args:
         bc: Dirichlet condition.
 
     Returns:
-        ``(n,)`` int32 local indices (block size unrolled).
+        Local indices of shape ``(n,)``, int32, with unrolled block size.
     """
     cpp = getattr(bc, "_cpp_object", bc)
     return cpp.dof_indices()[0]
 
 
 def fixed_dofs(bcs: Sequence[fem.DirichletBC]) -> npt.NDArray[np.int32]:
-    """Local degrees of freedom that any of the conditions constrains, sorted, each once."""
+    """Return the local degrees of freedom constrained by any of the conditions, sorted."""
     return np.unique(np.concatenate([np.empty(0, np.int32), *map(bc_dofs, bcs)]))
 
 
@@ -68,24 +68,24 @@ def bc_set(
 
     Args:
         bc: Dirichlet condition with the values ``g``.
-        x: ``(n,)`` array of the local vector, ghosts included or not.
-        x0: array as ``x``, or None for zero.
-        alpha: factor.
+        x: Array of the local vector, with or without ghosts, shape ``(n,)``.
+        x0: Array like ``x``, or None for zero.
+        alpha: Factor.
     """
     cpp = getattr(bc, "_cpp_object", bc)
     cpp.set(x, x0, alpha)
 
 
 def geometry_dofmap(mesh: Any) -> npt.NDArray[np.int32]:
-    """Cell to geometry node map ``(n_cells, n_nodes)`` of a mesh with one cell type."""
+    """Return the geometry nodes of each cell, ``(n_cells, n_nodes)``, for one cell type."""
     geometry = mesh.geometry
     return geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
 
 
 def cell_partitioner(ghosts: GhostMode) -> Any:
-    """Dolfinx's own function that spreads cells over ranks.
+    """Return dolfinx' own function that distributes cells over ranks.
 
-    From 0.10 on the number of cells at a facet is asked for.
+    From 0.10 on, it needs the largest number of cells at a facet.
     """
     try:
         return create_cell_partitioner(ghosts, 2)
@@ -94,24 +94,24 @@ def cell_partitioner(ghosts: GhostMode) -> Any:
 
 
 def is_on(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
-    """Whether a Dirichlet condition constrains (a component of) a function space."""
+    """Return whether a Dirichlet condition constrains (a component of) a function space."""
     space = getattr(bc, "function_space", None) or bc._cpp_object.function_space
     space = getattr(space, "_cpp_object", space)
     return V._cpp_object.contains(space)
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Reference points at which a function space wants expressions evaluated."""
+    """Return the reference points at which a function space evaluates expressions."""
     points = V.element.interpolation_points
     return points() if callable(points) else points
 
 
 def facet_entities(mesh: Any, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Integration entities (cell, local facet, cell, local facet) of interior facets, flat.
+    """Return integration entities (cell, local facet, cell, local facet) of facets, flat.
 
     Args:
         mesh: dolfinx mesh.
-        facets: ``(n,)`` owned interior facets.
+        facets: Owned interior facets, shape ``(n,)``.
     """
     kind = fem.IntegralType.interior_facet
     topology = mesh.topology
@@ -119,22 +119,22 @@ def facet_entities(mesh: Any, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.i
     compute = cpp.fem.compute_integration_domains
     try:
         return compute(kind, topology, facets, mesh.topology.dim - 1).ravel()
-    except TypeError:  # from 0.10 on the dimension follows from the type
+    except TypeError:  # from 0.10 on, the dimension follows from the type
         return compute(kind, topology, facets).ravel()
 
 
 class CompiledForm:
-    """A UFL form compiled for given coefficients, whose entities of integration are open.
+    """UFL form compiled for given coefficients, with integration entities to be given later.
 
     Args:
         mesh: dolfinx mesh.
-        form: UFL form with integrals over subdomain 1, without derivatives yet to be expanded,
-            which may make coefficients disappear and then confuse dolfinx 0.9.
+        form: UFL form with integrals over subdomain 1. Derivatives must have been expanded: they
+            may make coefficients disappear, which confuses dolfinx 0.9.
         options: ``form_compiler_options`` and ``jit_options`` of ``dolfinx.fem.form``.
     """
 
     def __init__(self, mesh: Any, form: ufl.Form, options: dict[str, Any]) -> None:
-        """Compile (collective)."""
+        """Compile the form. Collective."""
         self._mesh = mesh
         options = {"form_compiler_options": {}, "jit_options": {}} | {
             name: value for name, value in options.items() if value is not None
@@ -147,12 +147,12 @@ class CompiledForm:
         self._constants = {c: c for c in extract_constants(original)}
 
     def constants(self) -> npt.NDArray[np.float64]:
-        """Present values of all constants, as kernels want them; at least one number."""
+        """Return the current values of all constants for kernels; at least one number."""
         values = [np.ravel(c.value) for c in self._constants]
         return np.concatenate([*values, np.zeros(0 if values else 1)])
 
     def facet_kernels(self) -> npt.NDArray[np.int64] | None:
-        """Addresses of the functions of interior facets; None if there are others, too."""
+        """Return addresses of the interior facet kernels; None if there are other integrals."""
         form, module = self._compiled.ufcx_form, self._compiled.module
         first, last = form.form_integral_offsets[2], form.form_integral_offsets[3]
         if first > 0:
@@ -161,7 +161,7 @@ class CompiledForm:
         return np.array([int(module.ffi.cast("intptr_t", f)) for f in functions], dtype=np.int64)
 
     def over(self, entities: dict[str, npt.NDArray[np.int32]]) -> fem.Form:
-        """The form with integrals over given integration entities, by integral type."""
+        """Return the form with integrals over given integration entities, by integral type."""
         subdomains = {
             getattr(fem.IntegralType, name): [(1, array)] for name, array in entities.items()
         }

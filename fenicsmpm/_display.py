@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a notebook shows of a value, and what a terminal prints instead."""
+"""Representation of objects in notebooks and terminals."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ Facts: TypeAlias = list[tuple[str, str]]
 
 
 class Described:
-    """Something that is printed as lines, and shown by a notebook as a table of the same facts.
+    """Base of objects that are printed as lines, and shown as a table in notebooks.
 
-    One rank may be printed alone, so that the facts are those of this rank and no others.
+    One rank may be printed alone, so the facts are those of this rank only.
     """
 
     def _facts(self) -> Facts:
-        """What is to be said: pairs of a name and a text. Not collective."""
+        """Return pairs of a name and a text. Not collective."""
         raise NotImplementedError
 
     def __str__(self) -> str:
-        """The class, and a line for each fact."""
+        """Return the class name and a line for each fact."""
         facts = self._facts()
         width = max(len(name) for name, _ in facts)
         return "\n".join(
@@ -32,7 +32,7 @@ class Described:
         )
 
     def _repr_html_(self) -> str:
-        """A table with a row for each fact."""
+        """Return a table with a row for each fact."""
         left = ' style="text-align: left"'
         rows = "".join(
             f"<tr><th{left}>{html.escape(name)}</th><td{left}>{html.escape(text)}</td></tr>"
@@ -42,22 +42,22 @@ class Described:
 
 
 class Picture(os.PathLike[str]):
-    """A picture that was drawn: a notebook shows it, `print` names its file.
+    """A picture that was drawn: notebooks show it, `print` gives the name of its file.
 
-    It can be given wherever the path of a file is expected, such as a frame of `io.animate`.
+    It can be passed wherever the path of a file is expected, such as a frame of `io.animate`.
 
     Args:
         path: The file; None for a picture that was drawn without a file.
-        content: The PNG of a picture without a file; None on the ranks that did not draw it.
+        content: The PNG data of a picture without a file; None on ranks that did not draw it.
     """
 
     def __init__(self, path: str | Path | None, content: bytes | None = None) -> None:
-        """Keep the path; the file is read when somebody looks."""
+        """Store the path; the file is read when it is displayed."""
         self.path = None if path is None else Path(path)
         self._content = content
 
     def __fspath__(self) -> str:
-        """The path of the file.
+        """Return the path of the file.
 
         Raises:
             ValueError: If the picture was drawn without a file.
@@ -67,11 +67,11 @@ class Picture(os.PathLike[str]):
         return str(self.path)
 
     def __str__(self) -> str:
-        """The path of the file."""
+        """Return the path of the file."""
         return "picture without a file" if self.path is None else str(self.path)
 
     def __repr__(self) -> str:
-        """The path of the file, as in `Picture('tip.png')`."""
+        """Return the path of the file, as in `Picture('tip.png')`."""
         return f"Picture({None if self.path is None else str(self.path)!r})"
 
     def _read(self) -> bytes | None:
@@ -80,11 +80,11 @@ class Picture(os.PathLike[str]):
         return self.path.read_bytes() if self.path.is_file() else None
 
     def _repr_png_(self) -> bytes | None:
-        """What a notebook shows of a PNG; None for other files."""
+        """Return the data of a PNG for notebooks; None for other files."""
         return self._read() if self.path is None or self.path.suffix == ".png" else None
 
     def _repr_html_(self) -> str | None:
-        """What a notebook shows of an animation, or of another format that a browser knows."""
+        """Return the HTML of an animation, or of another format that browsers show."""
         kind = mimetypes.guess_type(str(self))[0] or ""
         content = self._read() if kind.startswith("image/") and kind != "image/png" else None
         if content is None:

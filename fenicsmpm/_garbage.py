@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Life and death of PETSc objects on several ranks."""
+"""Destruction of PETSc objects on several ranks."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from petsc4py import PETSc
 
 
 def lasting(comm: MPI.Intracomm) -> MPI.Intracomm:
-    """COMM_WORLD or COMM_SELF if they have the same ranks, for PETSc objects.
+    """Return COMM_WORLD or COMM_SELF if they have the same ranks, for PETSc objects.
 
-    What Python drops on several ranks waits for ``collect_garbage`` on its communicator; that of a
-    mesh would be gone by then.
+    On several ranks, objects that Python has dropped wait for ``collect_garbage`` on their
+    communicator. The communicator of a mesh would no longer exist by then.
 
     Args:
-        comm: communicator of a mesh.
+        comm: Communicator of a mesh.
     """
     for lasts in (MPI.COMM_WORLD, MPI.COMM_SELF):
         if MPI.Comm.Compare(comm, lasts) in (MPI.IDENT, MPI.CONGRUENT):
@@ -23,9 +23,9 @@ def lasting(comm: MPI.Intracomm) -> MPI.Intracomm:
 
 
 def collect_garbage(comm: MPI.Intracomm) -> None:
-    """Destroy the PETSc objects that Python has dropped on all ranks (collective).
+    """Destroy the PETSc objects that Python has dropped on all ranks. Collective.
 
     Args:
-        comm: communicator of a mesh.
+        comm: Communicator of a mesh.
     """
     PETSc.garbage_cleanup(lasting(comm))

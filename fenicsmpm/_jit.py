@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""FFCx compilations that wait for living processes and not for killed ones.
+"""FFCx compilations that wait for running processes, but not for killed ones.
 
-FFCx marks what it compiles by a new .c file in its cache. A process that is killed meanwhile leaves
-that file, and all later ones wait for its result until time is out. Here a lock, which ends with
-the process that holds it, tells which files still have a writer.
+FFCx marks a compilation in progress by a new .c file in its cache. If the process is killed, this
+file remains, and all later processes wait for its result until their timeout. Here a lock, which
+ends with the process that holds it, tells which files still have a writer.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-_PATIENCE = 2  # s until a wait is told
-# s after which a file without a writer that holds the lock is left by a killed process: plain
-# dolfinx, which knows no lock, may be at work on the same form
+_PATIENCE = 2  # s until a wait is logged
+# s after which a file without a locking writer counts as left by a killed process. Before that,
+# plain dolfinx, which does not lock, may be compiling the same form.
 _STALE = 30
 
 
 def kernel_form(comm: Any, form: ufl.Form, jit_options: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Compile a UFL form once on all ranks (collective).
+    """Compile a UFL form once on all ranks. Collective.
 
     Args:
-        comm: MPI communicator, whose rank 0 compiles.
-        form: UFL form; any mesh of it may be a pure UFL one.
-        jit_options: options of ``dolfinx.jit.ffcx_jit``.
+        comm: MPI communicator; its rank 0 compiles.
+        form: UFL form; its meshes may be pure UFL ones.
+        jit_options: Options of ``dolfinx.jit.ffcx_jit``.
 
     Returns:
         The ``ufcx_form`` C object and the CFFI module that keeps it alive.
@@ -55,7 +55,7 @@ def mesh_form(
     form_compiler_options: Mapping[str, Any] | None = None,
     jit_options: Mapping[str, Any] | None = None,
 ) -> fem.Form:
-    """``dolfinx.fem.form`` of a form over cells and facets (collective)."""
+    """Call ``dolfinx.fem.form`` for a form over cells and facets. Collective."""
 
     def compiled(options: dict[str, Any]) -> fem.Form:
         return fem.form(form, form_compiler_options=form_compiler_options, jit_options=options)
@@ -67,7 +67,7 @@ def mesh_form(
 def open_form(
     comm: Any, form: ufl.Form, form_compiler_options: Any, jit_options: Mapping[str, Any] | None
 ) -> Any:
-    """``dolfinx.fem.compile_form``, whose entities of integration are open (collective)."""
+    """Call ``dolfinx.fem.compile_form``, which leaves integration entities open. Collective."""
 
     def compiled(options: dict[str, Any]) -> Any:
         return fem.compile_form(
@@ -78,11 +78,11 @@ def open_form(
 
 
 def expression(value: Any, points: Any, comm: Any) -> fem.Expression:
-    """``dolfinx.fem.Expression`` at reference points (collective).
+    """Call ``dolfinx.fem.Expression`` for given reference points. Collective.
 
     Args:
         value: UFL expression.
-        points: where in the cell.
+        points: Reference points in the cell.
         comm: MPI communicator.
     """
 
@@ -98,13 +98,13 @@ def _once(
     compiled: Callable[[dict[str, Any]], T],
     jit_options: Mapping[str, Any] | None,
 ) -> T:
-    """What ``compiled`` returns, tried again while FFCx waits for a file.
+    """Return the result of ``compiled``, called again while FFCx waits for a file.
 
     Args:
         comm: MPI communicator.
-        key: tells what is compiled.
-        compiled: compiles with JIT options, or reads from the cache.
-        jit_options: of the user.
+        key: Text that identifies what is compiled.
+        compiled: Function of JIT options that compiles, or reads from the cache.
+        jit_options: JIT options of the user.
     """
     options = {**(jit_options or {}), "timeout": _PATIENCE}
     cache = Path(jit.get_options(options)["cache_dir"])
@@ -118,7 +118,7 @@ def _once(
 
 
 def _is_worth_trying(error: Exception, is_locked: bool) -> bool:
-    """Whether FFCx has only waited for a file; if nobody writes it any more, remove it."""
+    """Return whether FFCx only waited for a file; remove the file if it has no writer any more."""
     found = re.search(r"timed out.* remove (.+\.c)\)", str(error))
     if found is None:
         return False
@@ -130,16 +130,16 @@ def _is_worth_trying(error: Exception, is_locked: bool) -> bool:
     if not is_locked or age < _STALE:
         logger.warning("waiting for %s, which another process may be compiling", path)
     else:
-        logger.warning("compiling %s anew: nobody has finished it for %.0f s", path.name, age)
+        logger.warning("compiling %s again: no process has finished it for %.0f s", path.name, age)
         path.unlink(missing_ok=True)
     return True
 
 
 @contextmanager
 def _lock(cache: Path, key: str) -> Iterator[bool]:
-    """Wait until no other process compiles the same; False where files cannot be locked."""
+    """Wait until no other process compiles the same; yield False if files cannot be locked."""
     cache.mkdir(parents=True, exist_ok=True)
-    # one byte of one file for each key, so that there is nothing to be cleaned up
+    # one byte of one file for each key, so that nothing needs to be cleaned up
     byte = int(hashlib.sha256(key.encode()).hexdigest()[:15], 16)
     with open(cache / "fenicsmpm.lock", "a") as file:
         begin, told, is_locked = time.monotonic(), False, False

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Functions compiled by numba and kept on disk until something that they use changes.
+"""Functions compiled by numba and cached on disk until something that they use changes.
 
-Numba's own cache goes by the file of a function. It does not see that a function of another file
-has changed which the first one calls, and it does not keep functions that stand in others and use
-their variables. This one goes by what is compiled: bytecode and constants of a function, and of all
-that it refers to in globals and closures, which we call its fingerprint.
+Numba's own cache depends on the file of a function only. It does not notice changes of functions in
+other files that the function calls, and it does not cache inner functions that use variables of the
+enclosing one. This cache depends on what is compiled: bytecode and constants of a function, and of
+everything that it refers to in globals and closures. We call this its fingerprint.
 
-All touches of numba's internals are in this module.
+All uses of numba's internals are in this module.
 """
 
 # mypy: disable-error-code=misc
@@ -44,15 +44,15 @@ from numba.core.types import Callable as CallableType
 
 logger = logging.getLogger(__name__)
 
-# Symbols in compiled code have the name of the function and a number. Numba counts from 1 in each
-# process, so that code from the disk and code compiled now could have the same one, and the linker
-# would take one for the other.
+# Symbols in compiled code consist of the name of the function and a number. Numba counts from 1 in
+# each process. Code from the disk and code compiled now could therefore have the same symbol, and
+# the linker would confuse them.
 FunctionIdentity._unique_ids = itertools.count(secrets.randbits(60))
 
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version)
-# Modules that are known by these versions
+# Modules that are identified by these versions
 _KNOWN = {*sys.stdlib_module_names, "numba", "llvmlite", "numpy"} - {"__main__"}
-# Parallel are loops by ``prange`` only. Numba would also compile a function each for sums and
+# Only loops by ``prange`` are parallel. Otherwise numba would also compile functions for sums and
 # maxima of short arrays, and start threads for them.
 _PRANGE = ParallelOptions(
     {
@@ -60,24 +60,24 @@ _PRANGE = ParallelOptions(
         "numpy": False, "stencil": False, "fusion": False, "prange": True,
     }
 )  # fmt: skip
-# Variants of a function that are kept: dimensions, bases, laws, and laws that have been edited
+# Number of cached variants of a function: dimensions, bases, laws, and laws that have been edited
 _MOST = 100
 _DOES_NOT_COMPILE = "does not compile"
-# Stands for a function while we walk through what it refers to
+# Placeholder for a function while we walk through what it refers to
 _RECURSION = "recursion"
 
 
 def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """``numba.njit`` whose results are kept on disk, in the directory that numba would take.
+    """Compile a function as ``numba.njit`` does, and cache the result on disk.
 
-    Functions in functions are kept, too. What is found on the disk is used if function, options and
-    all that the function refers to are the same: other compiled functions, constants, versions of
-    numba and numpy. Where there is no place to keep it, as for functions typed on standard input,
-    it is compiled in each process.
+    The cache is in the directory that numba would use, and serves inner functions, too. A cached
+    result is used if the function, the options and everything that the function refers to are the
+    same: other compiled functions, constants, versions of numba and numpy. Functions without a
+    cache directory, such as those typed on standard input, are compiled in each process.
 
     Args:
-        function: to be compiled; if not given, a decorator is returned.
-        options: of ``numba.njit``, without ``cache``.
+        function: Function to compile; if not given, a decorator is returned.
+        **options: Options of ``numba.njit``, without ``cache``.
     """
     if function is None:
         return functools.partial(njit, **options)
@@ -89,7 +89,7 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def compiles(dispatcher: Any, signature: Any) -> bool:
-    """Whether numba can compile a function for a signature; the answer is kept on disk."""
+    """Return whether numba can compile a function for a signature; the answer is cached."""
     if not isinstance(dispatcher._cache, _Cache):
         dispatcher._cache = _Cache(dispatcher)
     cache = dispatcher._cache
@@ -105,16 +105,16 @@ def compiles(dispatcher: Any, signature: Any) -> bool:
 
 
 class _Cache(NullCache):
-    """What a dispatcher asks for compiled code, and gives it to: a file for each signature."""
+    """Cache of a dispatcher: a file of compiled code for each signature."""
 
     def __init__(self, dispatcher: Dispatcher) -> None:
-        """Of a dispatcher."""
+        """Create the cache of a dispatcher."""
         self._dispatcher = dispatcher
-        # fingerprints with which signatures were compiled in this process
+        # fingerprints for which signatures were compiled in this process
         self.compiled_as: set[str] = set()
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """Compiled code from the disk, or None."""
+        """Return compiled code from the disk, or None."""
         target_context.refresh()
         try:
             self.compiled_as.add(_Walk().of_dispatcher(self._dispatcher))
@@ -126,19 +126,19 @@ class _Cache(NullCache):
         return CompileResult._rebuild(target_context, *payload)
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep compiled code, if that is possible."""
+        """Store compiled code on disk, if possible."""
         place = self._place
         if place is not None and place.check_cachable(result):
             self.write(signature, result.codegen, lambda: place.reduce(result))
 
     @property
     def cache_path(self) -> str | None:
-        """Directory."""
+        """Directory of the cache."""
         return None if self._place is None else self._place.locator.get_cache_path()
 
     @functools.cached_property
     def _place(self) -> CompileResultCacheImpl | None:
-        """What knows numba's directory for the function; None if there is none."""
+        """Return what knows numba's directory for the function; None if there is none."""
         try:
             return CompileResultCacheImpl(self._dispatcher.py_func)
         except (RuntimeError, OSError, TypeError) as error:
@@ -146,7 +146,7 @@ class _Cache(NullCache):
             return None
 
     def _path(self, signature: Any, codegen: Any, to_write: bool) -> Path | None:
-        """File for a signature."""
+        """Return the file for a signature."""
         if self._place is None:
             return None
         walk = _Walk()
@@ -168,24 +168,24 @@ class _Cache(NullCache):
         return f"{module}.{function.__qualname__}".replace("<", "").replace(">", "")[:150]
 
     def read(self, signature: Any, codegen: Any) -> Any:
-        """What was kept for a signature, or None."""
+        """Return what was stored for a signature, or None."""
         path = self._path(signature, codegen, to_write=False)
         if path is None:
             return None
         try:
             content = path.read_bytes()
-            os.utime(path)  # the oldest ones are removed
+            os.utime(path)  # so that it is not removed as one of the oldest
         except OSError:
             return None
         check, data = content[:32], content[32:]
         if hashlib.sha256(data).digest() != check:
             logger.debug("damaged file, compiled anew: %s", path)
             return None
-        # the check guards against what else would make this fail
+        # the check guards against other reasons for which this would fail
         return pickle.loads(data)
 
     def write(self, signature: Any, codegen: Any, payload: Callable[[], Any]) -> None:
-        """Keep something for a signature; other processes see all of it or nothing."""
+        """Store something for a signature; other processes see all of it or nothing."""
         path = self._path(signature, codegen, to_write=True)
         if path is None:
             return
@@ -210,11 +210,11 @@ class _Cache(NullCache):
             Path(path).unlink(missing_ok=True)
 
 
-# --- what a function refers to -------------------------------------------------------------------
+# --- references of a function --------------------------------------------------------------------
 
 
 class _UnknownError(Exception):
-    """Something of which we cannot say whether it is the same in another process."""
+    """Error for objects that may differ in another process."""
 
 
 def _digest(parts: Iterable[str]) -> str:
@@ -222,24 +222,24 @@ def _digest(parts: Iterable[str]) -> str:
 
 
 def _is_known(name: str | None) -> bool:
-    """Whether a module is known by our list of versions."""
+    """Return whether a module is identified by our list of versions."""
     return name is not None and name.partition(".")[0] in _KNOWN
 
 
 class _Walk:
-    """Fingerprints of functions and all that they refer to.
+    """Fingerprints of functions and everything that they refer to.
 
     Attributes:
-        outdated: compiled functions that were compiled when they referred to something else.
+        outdated: Compiled functions that were compiled when they referred to something else.
     """
 
     def __init__(self) -> None:
-        """Nothing is known yet."""
+        """Start without any fingerprint."""
         self._functions: dict[int, str] = {}
         self.outdated: list[Dispatcher] = []
 
     def of_dispatcher(self, dispatcher: Dispatcher) -> str:
-        """Fingerprint of a compiled function."""
+        """Return the fingerprint of a compiled function."""
         if id(dispatcher) in self._functions:
             return self._functions[id(dispatcher)]
         self._functions[id(dispatcher)] = _RECURSION
@@ -248,7 +248,7 @@ class _Walk:
         self._functions[id(dispatcher)] = result
         cache = dispatcher._cache
         if isinstance(cache, FunctionCache):
-            # It may hold what was compiled with functions that have changed since.
+            # It may contain code compiled with functions that have changed since.
             if dispatcher.overloads:
                 raise _UnknownError(f"{dispatcher} was in the cache of numba")
             dispatcher._cache = _Cache(dispatcher)
@@ -257,7 +257,7 @@ class _Walk:
         return result
 
     def of_signature(self, signature: Any) -> str:
-        """Text that stands for the types of arguments."""
+        """Return a text that identifies the types of arguments."""
         arguments, returned = normalize_signature(signature)
         return self._of((*arguments, returned))
 
@@ -280,7 +280,7 @@ class _Walk:
         return self._functions[id(function)]
 
     def _of_variable(self, name: str, value: Any, code: types.CodeType) -> str:
-        """A variable, and of a module all that the code could use of it."""
+        """Return the text of a variable; for a module, of all that the code could use of it."""
         if not isinstance(value, types.ModuleType):
             return f"{name} = {self._of(value)}"
         parts = [f"{name} = {value.__name__}"]
@@ -320,7 +320,7 @@ class _Walk:
             fields = getattr(value, "_fields", ())
             return f"class {module} {value.__qualname__} {fields} {self._of(members)}"
         if _is_known(kind.__module__) and module is not None:
-            # what numba was taught, such as an intrinsic
+            # numba's own extensions, such as an intrinsic
             return f"{value!r} {self._of(getattr(value, '__wrapped__', None))} {_sources(module)}"
         raise _UnknownError(f"{value!r} is no constant")
 
@@ -336,7 +336,7 @@ class _Walk:
 
 @functools.cache
 def _of_code(code: types.CodeType) -> str:
-    """Text that stands for bytecode and constants, not for the place in a file."""
+    """Return a text that identifies bytecode and constants, but not the place in a file."""
     constants = [
         _of_code(c) if isinstance(c, types.CodeType) else f"{type(c)} {_ordered(c)}"
         for c in code.co_consts
@@ -347,7 +347,7 @@ def _of_code(code: types.CodeType) -> str:
 
 
 def _ordered(constant: Any) -> str:
-    """Text of a constant, the same in each process."""
+    """Return the text of a constant, the same in each process."""
     if isinstance(constant, frozenset):
         return repr(sorted(map(repr, constant)))
     if isinstance(constant, tuple):
@@ -357,14 +357,14 @@ def _ordered(constant: Any) -> str:
 
 @functools.cache
 def _nested(code: types.CodeType) -> tuple[types.CodeType, ...]:
-    """Code and that of functions in it."""
+    """Return code and the code of inner functions."""
     inner = [_nested(c) for c in code.co_consts if isinstance(c, types.CodeType)]
     return (code, *itertools.chain(*inner))
 
 
 @functools.cache
 def _global_names(code: types.CodeType) -> list[str]:
-    """Names that are looked up among globals, sorted."""
+    """Return the names that are looked up in globals, sorted."""
     instructions = itertools.chain(*(dis.get_instructions(each) for each in _nested(code)))
     loads = ("LOAD_GLOBAL", "LOAD_NAME")
     return sorted({each.argval for each in instructions if each.opname in loads})
@@ -372,13 +372,13 @@ def _global_names(code: types.CodeType) -> list[str]:
 
 @functools.cache
 def _attribute_names(code: types.CodeType) -> set[str]:
-    """Names among which are those of attributes."""
+    """Return names that include those of all attributes."""
     return {name for each in _nested(code) for name in each.co_names}
 
 
 @functools.cache
 def _sources(module: str) -> str:
-    """Text that stands for the sources of a module and those beside it in its package."""
+    """Return a text that identifies the sources of a module and of others in its package."""
     loaded = sys.modules.get(module)
     path = Path(getattr(loaded, "__file__", None) or "")
     if not path.is_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is recorded of a body in motion: momentum, energy, and values at single points."""
+"""Momentum, energy and forces of bodies, and values at single points."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ __all__ = [
 
 
 def momentum(body: MaterialPoints) -> npt.NDArray[np.float64]:
-    """Linear momentum, the sum of m v over all points of all ranks (collective).
+    """Return the linear momentum, the sum of m v over all points of all ranks. Collective.
 
     Args:
-        body: material points with the fields "mass" and "v".
+        body: Material points with the fields "mass" and "v".
 
     Returns:
-        [kg m/s], shape (d,); per thickness in the plane.
+        Momentum in kg m/s, shape (d,); in 2D per unit thickness.
     """
     return body.mesh.comm.allreduce(body["mass"] @ body["v"])
 
 
 def angular_momentum(body: MaterialPoints) -> float | npt.NDArray[np.float64]:
-    """Angular momentum about the origin, the sum of x cross m v (collective).
+    """Return the angular momentum about the origin, the sum of x cross m v. Collective.
 
     Args:
-        body: material points with the fields "mass" and "v".
+        body: Material points with the fields "mass" and "v".
 
     Returns:
-        [kg m^2/s], a number in the plane (per thickness), shape (3,) in space.
+        Angular momentum in kg m^2/s: a number in 2D (per unit thickness), shape (3,) in 3D.
     """
     return body.mesh.comm.allreduce(moment(body.x, body["mass"][:, None] * body["v"]))
 
@@ -58,14 +58,14 @@ def angular_momentum(body: MaterialPoints) -> float | npt.NDArray[np.float64]:
 def moment(
     x: npt.NDArray[np.float64], p: npt.NDArray[np.float64]
 ) -> float | npt.NDArray[np.float64]:
-    """Sum of x cross p on this rank.
+    """Return the sum of x cross p on this rank.
 
     Args:
-        x: positions [m], shape (n, d).
-        p: vectors, such as momenta [kg m/s], shape (n, d).
+        x: Positions in m, shape (n, d).
+        p: Vectors, such as momenta in kg m/s, shape (n, d).
 
     Returns:
-        A number in the plane, shape (3,) in space.
+        A number in 2D, shape (3,) in 3D.
     """
     if x.shape[1] == 2:
         return float(np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]))
@@ -73,33 +73,33 @@ def moment(
 
 
 def kinetic_energy(body: MaterialPoints) -> float:
-    """Kinetic energy, the sum of m v . v / 2 over all points of all ranks (collective).
+    """Return the kinetic energy, the sum of m v . v / 2 over all points. Collective.
 
     Args:
-        body: material points with the fields "mass" and "v".
+        body: Material points with the fields "mass" and "v".
 
     Returns:
-        [J], per thickness in the plane.
+        Energy in J; in 2D per unit thickness.
     """
     return float(body.mesh.comm.allreduce(body["mass"] @ np.sum(body["v"] ** 2, axis=1) / 2))
 
 
 def strain_energy(body: MaterialPoints, law: NeoHookean | Law) -> float:
-    """Strain energy, the sum of V_0 psi over all points (collective).
+    """Return the strain energy, the sum of V_0 psi over all points. Collective.
 
-    Of a ``NeoHookean`` of the mixed formulation it is the deviatoric part, all there is of an
-    incompressible material. The volumetric energy of a compressible one is left out: the pressure
-    is an unknown of its own there, and no law gives that energy from F alone.
+    For a ``NeoHookean`` law of the mixed formulation it is the deviatoric part. This is the whole
+    energy of an incompressible material. The volumetric energy of a compressible one is missing:
+    the pressure is an unknown of its own, and no law gives this energy from F alone.
 
     Args:
-        body: material points with the fields "V_0", "F" and "J", and those of a law's state.
-        law: constitutive law; one at points must have an energy.
+        body: Material points with the fields "V_0", "F" and "J", and those of the law's state.
+        law: Constitutive law; a law at points must have an energy.
 
     Returns:
-        [J], per thickness in the plane.
+        Energy in J; in 2D per unit thickness.
 
     Raises:
-        ValueError: for a law at points without an energy.
+        ValueError: For a law at points without an energy.
     """
     if isinstance(law, Law):
         psi = materials.energy(law, body["F"], materials.state_of(law, body))
@@ -110,32 +110,33 @@ def strain_energy(body: MaterialPoints, law: NeoHookean | Law) -> float:
 
 
 def resultant(z: Unknown, form: ufl.Form) -> npt.NDArray[np.float64]:
-    """Force that terms of a residual exert on the body, the sum over all nodes (collective).
+    """Return the force that terms of a residual exert on the body, summed over nodes. Collective.
 
-    They are taken for the unknown and the points as they are: after ``NewtonSolver.solve``. In time
-    loops ``simulation.Resultant`` asks when a step is solved and points have not moved.
+    The terms are evaluated for the current unknown and points, for example after
+    ``NewtonSolver.solve``. In time loops, ``simulation.Resultant`` evaluates them when a step is
+    solved and the points have not moved yet.
 
     Args:
-        z: unknown with a displacement or velocity.
-        form: terms of its residual, UFL of rank 1.
+        z: Unknown with a displacement or velocity.
+        form: Terms of its residual, UFL of rank 1.
 
     Returns:
-        [N], shape (d,); per thickness in the plane.
+        Force in N, shape (d,); in 2D per unit thickness.
     """
     return z.mesh.comm.allreduce(_nodal_forces(z, form).sum(axis=0))
 
 
 def torque(z: Unknown, form: ufl.Form) -> float | npt.NDArray[np.float64]:
-    """Moment about the origin of what terms of a residual exert on the body (collective).
+    """Return the moment about the origin of the force of terms of a residual. Collective.
 
-    Forces act where the points are after a motion u; otherwise as ``resultant``.
+    Forces act at the positions after the motion u; otherwise as for ``resultant``.
 
     Args:
-        z: unknown with a displacement or velocity in linear functions or B-splines.
-        form: terms of its residual, UFL of rank 1.
+        z: Unknown with a displacement or velocity in linear functions or B-splines.
+        form: Terms of its residual, UFL of rank 1.
 
     Returns:
-        [N m], a number in the plane (per thickness), shape (3,) in space.
+        Moment in N m: a number in 2D (per unit thickness), shape (3,) in 3D.
     """
     f = _nodal_forces(z, form)
     name = "v" if "v" in z else "u"
@@ -146,7 +147,7 @@ def torque(z: Unknown, form: ufl.Form) -> float | npt.NDArray[np.float64]:
 
 
 def _nodal_forces(z: Unknown, form: ufl.Form) -> npt.NDArray[np.float64]:
-    """Minus a form at the nodes of this rank, ``(n, d)`` [N]."""
+    """Return the negative form at the nodes of this rank in N, ``(n, d)``."""
     name = "v" if "v" in z else "u"
     b = forms.assemble_vector(forms.form(form))
     b.scatter_reverse(la.InsertMode.add)
@@ -156,31 +157,31 @@ def _nodal_forces(z: Unknown, form: ufl.Form) -> npt.NDArray[np.float64]:
 
 
 def mean_stress(sigma: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """A third of the trace of stresses.
+    """Return a third of the trace of stresses.
 
     Args:
-        sigma: ``(n, 3, 3)``, or ``(n, 9)`` as ``io.gather_points`` has them [Pa].
+        sigma: Stresses in Pa, shape ``(n, 3, 3)``, or ``(n, 9)`` as from ``io.gather_points``.
 
     Returns:
-        ``(n,)`` [Pa], positive in tension.
+        Mean stresses in Pa, shape ``(n,)``, positive in tension.
     """
     return np.asarray(sigma).reshape(-1, 9)[:, [0, 4, 8]].mean(axis=1)
 
 
 def roughness(body: MaterialPoints, values: npt.NDArray[np.float64], spacing: float) -> float:
-    """How much a field oscillates from point to point (collective).
+    """Measure how much a field oscillates from point to point. Collective.
 
-    The root mean square of the differences between the value of a point and the mean of those that
-    were its neighbours on a lattice at the start, zero for linear fields; only points whose
+    The measure is the root mean square of the difference between the value of a point and the mean
+    of its initial neighbours on a lattice. It is zero for linear fields. Only points whose
     neighbours are all on the same rank count.
 
     Args:
-        body: material points that were seeded on a lattice, with the field "u".
-        values: ``(n,)`` one number a point.
-        spacing: of the lattice [m].
+        body: Material points that were seeded on a lattice, with the field "u".
+        values: One number per point, shape ``(n,)``.
+        spacing: Spacing of the lattice in m.
 
     Returns:
-        In the unit of the values; zero if there are no such points.
+        Roughness in the unit of the values; zero if there are no such points.
     """
     X = (body.x - body["u"]) / spacing
     dim = X.shape[1]
@@ -195,22 +196,22 @@ def roughness(body: MaterialPoints, values: npt.NDArray[np.float64], spacing: fl
 
 
 def probe(points: MaterialPoints, name: str) -> Any:
-    """Value of a field at the only point of a point set, on all ranks (collective).
+    """Return the value of a field at the only point of a point set, on all ranks. Collective.
 
     Args:
-        points: a set of one point, such as one that a simulation carries along.
-        name: name of a field, or "x" for the position [m].
+        points: A set of one point, such as one that a simulation carries along.
+        name: Name of a field, or "x" for the position in m.
 
     Returns:
         A number or an array of the field's shape.
 
     Raises:
-        ValueError: on all ranks, if there are no or several points.
+        ValueError: On all ranks, if there is not exactly one point.
     """
     if points.size_global != 1:
         raise ValueError(
             f"a probe needs a set of one point, not of {points.size_global}: make one with "
-            "MaterialPoints, or select() it"
+            "points.at, or select() it"
         )
     values = points.mesh.comm.allgather(np.array(points[name]))
     return np.concatenate(values)[0]
@@ -219,17 +220,17 @@ def probe(points: MaterialPoints, name: str) -> Any:
 def turning_points(
     t: npt.NDArray[np.float64], values: npt.NDArray[np.float64], apart: float = 0.2
 ) -> list[tuple[float, float]]:
-    """Peaks and minima of a curve, in their order in time.
+    """Return the maxima and minima of a curve, in order of time.
 
     Args:
-        t: times, ascending, ``(n,)`` [s].
-        values: of the curve, ``(n,)``, linear between these times.
-        apart: turns that another one exceeds within this time are noise [s].
+        t: Ascending times in s, shape ``(n,)``.
+        values: Values of the curve, linear between these times, shape ``(n,)``.
+        apart: Extrema that another one exceeds within this time in s count as noise.
 
     Returns:
-        Times [s] and values.
+        Pairs of time in s and value.
     """
-    from scipy.signal import argrelextrema  # whose import takes long
+    from scipy.signal import argrelextrema  # a slow import
 
     step = apart / 80
     grid = np.arange(t[0], t[-1], step)

@@ -6,14 +6,15 @@ Weightless soil below a surcharge q bears c N_c + q N_q, with
     N_q = exp(pi tan(phi)) tan^2(45 + phi / 2)       (H. Reissner, 1924),
     N_c = (N_q - 1) cot(phi), or 2 + pi if phi = 0   (L. Prandtl, 1920).
 
-N_c is found in soil with cohesion and no surcharge, N_q in sand whose initial stress is the
-surcharge, in all directions. The soil obeys Mohr and Coulomb with associated flow. It is stiff: the
-footing settles by less than 1e-6 of its width, as the theory is one of small displacements.
+The study finds N_c in soil with cohesion and no surcharge, and N_q in sand whose initial stress is
+the surcharge in all directions. The soil follows Mohr and Coulomb with associated flow. It is so
+stiff that the footing settles by less than 1e-6 of its width, as the theory is one of small
+displacements.
 
-The plane of symmetry halves the ground. Nodes under the footing move down. They slide freely, or
-with --rough they do not slide; both have the same limit load in theory. Displacements are splines:
-with linear functions on quadrilaterals, soil that dilates locks. Clay (phi = 0) reaches its limit
-load later: give it --settlement 7.
+Half of the ground is modelled. Nodes under the footing move down. They slide freely, or do not
+slide with --rough; both have the same limit load in theory. Displacements are splines: with linear
+functions on quadrilaterals, dilating soil locks. Clay (phi = 0) reaches its limit load later and
+needs --settlement 7.
 """
 
 import math
@@ -34,23 +35,23 @@ STEPS = 25
 
 
 def factors(friction):
-    """N_c and N_q, by the angle of friction in degrees."""
+    """Return N_c and N_q by the angle of friction in degrees."""
     tan = math.tan(math.radians(friction))
     N_q = math.exp(math.pi * tan) * math.tan(math.radians(45 + friction / 2)) ** 2
     return {"N_c": (N_q - 1) / tan if tan > 0 else 2 + math.pi, "N_q": N_q}
 
 
 def bearing(factor, friction, functions, cells, size, rough=False, settlement=3.0):
-    """Settlements by B, and loads by strength, of a footing with so many cells along B.
+    """Return settlements over B, and loads over strength, of a footing.
 
     Args:
         factor: "N_c" or "N_q".
-        friction: angle of friction and of dilatancy [degrees].
-        functions: of the grid.
-        cells: along the width B = 1 m, an even number.
-        size: width and depth of the ground [B].
-        rough: whether the footing holds the ground sideways.
-        settlement: at the end, in terms of limit load * B / E.
+        friction: Angle of friction and of dilatancy in degrees.
+        functions: Grid functions.
+        cells: Number of cells along the width B = 1 m, even.
+        size: Width and depth of the ground in units of B.
+        rough: Whether the footing fixes the ground horizontally.
+        settlement: Final settlement in units of limit load * B / E.
     """
     width, depth = size
     shape = [round(width * cells), round(depth * cells)]
@@ -85,7 +86,7 @@ def bearing(factor, friction, functions, cells, size, rough=False, settlement=3.
     R += fm.dead_load(z.test.u, surface, (0.0, -surcharge))
     end, force = settlement * limit / E, Reaction(under)
     scheme, way, load = fm.QuasiStatic(z, dt=end / STEPS), [0.0], [surcharge]
-    # where much of the ground flows, the tangent changes much with what flows
+    # where much of the ground flows, the tangent depends strongly on which points flow
     newton = {"max_iterations": 100, "line_search": True}
     sim = ImplicitMPM(
         R, z, scheme, ground, carried=[surface], observers=[force], newton=newton
@@ -106,14 +107,17 @@ def main(
     depth: float = 2.0,
     settlement: float = 3.0,
 ):
-    """Angles in degrees, functions, cells along B; the ground in B; the settlement at the end."""
+    """Compare FRICTION angles in degrees, functions BASES, and CELLS along B with the theory.
+
+    WIDTH and DEPTH of the ground are in units of B, the final SETTLEMENT in limit load * B / E.
+    """
     columns = {"": "s", "friction": ".0f", "functions".ljust(9): "s", "h".ljust(4): "s"}
     columns |= {"found": ".3f", "exact": ".3f", "off": "+.1%", "still rises": ".1%"}
     table, curves = io.Table(columns), {}
     for angle in friction:
         for factor, exact in factors(angle).items():
             if factor == "N_q" and angle == 0:
-                continue  # what stands on the ground beside the footing does not matter
+                continue  # without friction, the surcharge adds no strength
             for functions in bases:
                 for n in cells:
                     way, load = bearing(

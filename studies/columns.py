@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Bending beam and twisting column: table 1 of VMS in full, and the cases of CMN.
 
-The problems are those of demos/bending_beam.py and demos/twisting_column.py: sections 6.3 and 6.4
-of VMS. Cases 1 to 5 are its sizes of cells and points a cell; "cmn" is the case of the slides of
-Moreno, Contri and Larese (CMN 2022) with Miehe's volumetric law and, here, subscales with inertia
-and tied nodes. "smooth" and its variants have quadratic B-splines on cubes of 0.25 m and 8 points a
-cell: dissipative with the interior penalty, "energy" conserving. Displacements of the corner are
-compared with Taylor-Hood P2-P1 finite elements. A run of table 1 takes hours: it writes its
-history, a series for ParaView and a checkpoint to go on from.
+The problems are those of demos/bending_beam.py and demos/twisting_column.py (sections 6.3 and 6.4
+of VMS). Cases 1 to 5 have the cell sizes and points per cell of table 1. "cmn" is the case of the
+slides of Moreno, Contri and Larese (CMN 2022), with Miehe's volumetric law; unlike there, it has
+subscales with inertia and tied nodes. "smooth" and its variants have quadratic B-splines on cubes
+of 0.25 m with 8 points each, and dissipate with the interior penalty; "energy" conserves energy.
+Displacements of the corner are compared with Taylor-Hood P2-P1 finite elements. A run of table 1
+takes hours. It writes its history, a series for ParaView, and a checkpoint for restarts.
 """
 
 import sys
@@ -29,16 +29,16 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "meshes"))
 from column import column  # noqa: E402
 
-TABLE_1 = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # m, points a cell
+TABLE_1 = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # m, points per cell
 CASES = {str(i): {"h": h, "per_cell": n} for i, (h, n) in enumerate(TABLE_1, start=1)}
 CASES["cmn"] = {"h": 0.2, "per_cell": 16, "volumetric": "miehe", "transient": True, "tied": True}
 SMOOTH = {"h": 0.25, "per_cell": 8, "functions": "quadratic", "tied": True}
 CASES["smooth"] = SMOOTH | {"stabilization": "cip"}
 CASES["smooth-cmn"] = CASES["smooth"] | {"volumetric": "miehe", "transient": True}
 CASES["energy"] = SMOOTH | {"stabilization": "hessian", "scheme": "Midpoint"}
-# Half the width of the background mesh [m], the number of points along a side is a multiple of;
-# end of a run, until when u_x has its first peak [s]; what is different in the cases of CMN; steps
-# of smooth functions [s]; and how far turning points of u_x are apart at least [s]
+# Half the width of the background mesh [m]; a divisor of the number of points along a side; end of
+# a run and time until which u_x has its first peak [s]; options of the cases of CMN; steps of
+# smooth functions [s]; and the smallest distance of turning points of u_x in time [s]
 COLUMNS = {
     "bending_beam": ((4.5, 1.0), 2, 3.0, 0.9, {"dt": 0.01}, 0.005, 0.2),
     "twisting_column": ((1.25, 1.25), 4, 0.5, 0.07, {"speed": 1.05}, 0.001, 0.02),
@@ -52,17 +52,17 @@ def velocity(name, x):
 
 
 def tetrahedra(name, h, per_cell):
-    """Mesh of the papers, and distance of the points [m]."""
+    """Return the mesh of the papers, and the spacing of points [m]."""
     (half_x, half_y), unit, *_ = COLUMNS[name]
     domain, tags = column(h, (-half_x, -half_y, 0), (half_x, half_y, 7))
     in_body = np.sum(tags.values[tags.indices < domain.topology.index_map(3).size_local] == 1)
-    # a cubic lattice, which begins at the corner of the mesh and has to fit the body's
+    # a cubic lattice that begins at the corner of the mesh and must fit the body
     count = domain.comm.allreduce(int(in_body)) * per_cell / 6
     return domain, 1 / (unit * round(count ** (1 / 3) / unit))
 
 
 def cubes(name, h, per_cell):
-    """Mesh of cubes, whose faces are those of the column, and distance of the points [m]."""
+    """Return a mesh of cubes whose faces match the column, and the spacing of points [m]."""
     half = np.ceil(np.array([*COLUMNS[name][0], 0]) / h - 1e-9) * h
     corners = [-half, half + (0, 0, 7)]
     shape = np.rint((corners[1] - corners[0]) / h).astype(int)
@@ -75,7 +75,7 @@ def build(
     name, h=0.25, per_cell=12, dt=0.001, stabilization="asgs", scheme="Bossak", speed=1.0,
     volumetric="quadratic", transient=False, tied=False, functions="linear",
 ):  # fmt: skip
-    """The loop, and the energy of stabilization [J]; its carried point is the corner."""
+    """Return the loop, whose carried point is the corner, and the energy of stabilization [J]."""
     domain, spacing = (tetrahedra if functions == "linear" else cubes)(name, h, per_cell)
     body = points.lattice(domain, spacing, lambda x: np.all(np.abs(x) < [[0.5], [0.5], [6]], 0))
     formulations.set_initial_state(body, 1100.0, lambda x: speed * velocity(name, x))  # kg/m^3
@@ -88,7 +88,7 @@ def build(
     z.fix("u", lambda x: np.isclose(x[2], 0))
     scheme = getattr(formulations, scheme)(z, dt=dt)
     cells = ActiveCells(body, loads=[tip])
-    newton, stored = {"keep_tangent": 0.01}, lambda: 0.0  # steps are short: one tangent each
+    newton, stored = {"keep_tangent": 0.01}, lambda: 0.0  # one tangent per step, as steps are short
     if conserves := isinstance(scheme, formulations.Midpoint):
         stress = formulations.MixedEnergyMomentum(law, body, z)
         R, stored = stress.power() + scheme.inertia(body), stress.volumetric_energy
@@ -106,7 +106,7 @@ def build(
 
 
 def run(name, until, file, restart=False, saves=100, **case):
-    """History of the corner [m] and the energy [J], the body, and how many steps were halved.
+    """Return the history of corner [m] and energy [J], the body, and the number of halved steps.
 
     A checkpoint is saved after every ``saves`` steps.
     """
@@ -117,7 +117,7 @@ def run(name, until, file, restart=False, saves=100, **case):
     body, law = sim.bodies[0], NeoHookean(1.7e7, nu=0.5)
     energies = kinetic_energy, lambda body: strain_energy(body, law), lambda body: stored()
     columns = tip | {"energy [J]": lambda sim: sum(energy(body) for energy in energies)}
-    # called by hand, as they need the loop's body
+    # called explicitly, as they need the loop's body
     history = io.History(columns, f"output/{file}.csv", case, append=restart)
     series = io.Series(f"output/{file}.vtkhdf", body, case, every=0.02, append=restart)
     history.begin(sim)
@@ -135,7 +135,7 @@ def run(name, until, file, restart=False, saves=100, **case):
 
 
 def smoothed_turns(t, values, apart):
-    """Turning points of quartics through the curve around them: flat peaks have a ripple."""
+    """Return turning points of quartics fitted to the curve, as flat peaks have ripples."""
     for time, _ in turning_points(t, values, apart):
         near = np.abs(t - time) < 0.4 * apart
         curve = np.polynomial.Polynomial.fit(t[near], values[near], 4)
@@ -172,7 +172,7 @@ def main(
         t, u_x, left = (history[title] for title in ("t [s]", "u_x [m]", "energy [J]"))
         curves[f"case {case}"], first = (t, u_x), np.argmax(np.abs(u_x[t <= window]))
         deviation = np.abs(np.interp(t, *known) - u_x).max() / np.abs(known[1]).max()
-        deviation = None if "speed" in options else deviation  # finite elements are slower
+        deviation = None if "speed" in options else deviation  # finite elements start more slowly
         table.row(case, u_x[first], t[first], t[-1], deviation, left[-1] / left[0], halved)
         both = zip(smoothed_turns(t, u_x, apart), smoothed_turns(*known, apart), strict=False)
         for (time, value), (t_ref, expected) in both:

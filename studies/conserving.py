@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What methods do to energy and momenta: sections 7.1 to 7.4 of the conservation paper.
+"""Energy and momenta of different methods: sections 7.1 to 7.4 of the conservation paper.
 
-A problem, such as "cantilever-A", with the paper's numbers of cells and points, is solved by one or
-all methods. Prints how much energy and momenta have changed, the energy from the time on at which
-loads end, and draws energies over time and the strain energy of the points.
+A problem, such as "cantilever-A", with the paper's numbers of cells and points, is solved by one
+method or all of them. The script prints how much energy and momenta have changed, the energy from
+the end of the loads on. It draws energies over time and the strain energy of the points.
 """
 
 from math import sqrt
@@ -23,15 +23,15 @@ from fenicsmpm.solvers import CourantStep, NewtonError
 
 METHODS = {  # options of the mid-point rule
     "energy-momentum": {},
-    "symplectic": {},  # stress of the mid-point; it has no state at the end, so elastic only
+    "symplectic": {},  # stress at the mid-point; it has no state at the end, so elastic only
     "pic": {"flip": 0.0},
     "lumped": {"lumping": 1.0},
-    "newmark": None,  # stress of the end, lumped mass in the mapping
+    "newmark": None,  # stress at the end, lumped mass in the mapping
 }
 
 
 def equations(method, law, body, z, dt):
-    """Time scheme and residual of a body without loads."""
+    """Return the time scheme and the residual of a body without loads."""
     if method == "newmark":
         scheme = formulations.Newmark(z, dt=dt)
     else:
@@ -51,7 +51,7 @@ def background(box, cells):
     return create(MPI.COMM_WORLD, corners, list(cells), kind, partitioner=partitioner)
 
 
-# Each problem: points, the unknown with its conditions, and the length of steps [s].
+# Each problem returns points, the unknown with its conditions, and the length of steps [s].
 
 
 def cantilever(law, per_side=12):
@@ -59,7 +59,7 @@ def cantilever(law, per_side=12):
     body = points.lattice(domain, d, inside=lambda x: (x[0] < 10) & (np.abs(x[1] - 10) < 0.5))
     basis.use(body, "gimp", d / 2)
     formulations.set_initial_state(body, 7750e3)
-    body["tag"] = (body.x[:, 0] > 10 - d) & (np.abs(body.x[:, 1] - 10) < d)  # two, with loads
+    body["tag"] = (body.x[:, 0] > 10 - d) & (np.abs(body.x[:, 1] - 10) < d)  # two loaded points
     z = formulations.Unknown(domain, "u")
     z.fix("u", lambda x: np.isclose(x[0], 0))
     return body, z, CourantStep({body: law}, factor=15.0)()
@@ -75,7 +75,7 @@ def cylinders(law, h=2.0, per_side=35, functions="linear"):
     if functions != "linear":
         basis.use(body, functions, h / per_side / 2)
     formulations.set_initial_state(body, 5.0, lambda x: np.outer((0.75, 0), side(x)))
-    # the paper's step has the sum of the points' moduli at a node instead of their mean
+    # the paper's time step uses the sum of the points' moduli at a node instead of their mean
     return body, formulations.Unknown(domain, "u"), CourantStep({body: law}, 5 / per_side)
 
 
@@ -107,7 +107,7 @@ ENERGIES = "kinetic", "strain", "dissipated"
 
 
 def build(problem, method, release=None, tying=None, **more):
-    """Simulation, history and length of steps; ``more`` are options of the points."""
+    """Return simulation, history and step length; ``more`` are options of the points."""
     seed, law, options, newton, threshold, end_of_loads, _ = PROBLEMS[problem]
     body, z, length = seed(law, **{**options, **more})
     scheme, R = equations(method, law, body, z, length if isinstance(length, float) else 1.0)
@@ -137,13 +137,13 @@ def build(problem, method, release=None, tying=None, **more):
 
 
 def drift(history, start=0.0):
-    """Change of the sum of energies since a time, as a share of it."""
+    """Return the change of the sum of energies since a time, relative to this sum."""
     sums = sum(history[title] for title in ENERGIES)[history["t [s]"] >= start]
     return sums / sums[0] - 1
 
 
 def shape(body):
-    """Length and radius of the bar [mm]."""
+    """Return length and radius of the bar [mm]."""
     (x, z), (X, Z) = body.x.T[::2], (body.x - body["u"]).T[::2]
     most = -body["u"][:, 1], np.hypot(x, z) - np.hypot(X, Z)
     down, wider = (body.mesh.comm.allreduce(a.max(initial=0.0), MPI.MAX) for a in most)
@@ -151,7 +151,7 @@ def shape(body):
 
 
 def run(problem, method, until):
-    """Histories, and points with their strain energies [J/m^3] at half the time and the end."""
+    """Return histories, and points with strain energies [J/m^3] at half the time and the end."""
     sim, history, length = build(problem, method)
     (body,), law, iterations, clouds = sim.bodies, PROBLEMS[problem][1], [], {}
     body.add_field("psi", ())
@@ -168,7 +168,7 @@ def run(problem, method, until):
 
 
 def main(problem: str, method: str = "energy-momentum", until: float = 0.0):
-    """Solve a problem by a method, or by "all"."""
+    """Solve PROBLEM by a method, or by "all"."""
     if problem not in PROBLEMS or method not in [*METHODS, "all"]:
         raise typer.BadParameter(
             f"problems: {', '.join(PROBLEMS)}; methods: all, {', '.join(METHODS)}"

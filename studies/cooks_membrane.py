@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Cook's membrane: all stabilizations on all meshes, figures 4 and 5 of VMS, and smooth functions.
+"""Cook's membrane: all stabilizations on all meshes (figures 4 and 5 of VMS), and smooth functions.
 
-The problem is that of demos/cooks_membrane.py. Prints tip displacements beside their limit by
-Taylor-Hood P2-P1 finite elements, and draws them and the pressure fields. The colours are those of
-the stabilized pressures: without stabilization two oscillating pressures do no work on any P1
-displacement, so that the solution is determined up to their multiples only. With FUNCTIONS other
-than "linear", the panel is cut out of a lattice of squares, with 9 points each.
+The problem is that of demos/cooks_membrane.py. The script prints tip displacements beside the limit
+of Taylor-Hood P2-P1 finite elements, and draws them and the pressure fields. The colour range is
+that of the stabilized pressures. Without stabilization, two oscillating pressures do no work on any
+P1 displacement, so the solution is unique only up to multiples of these. With FUNCTIONS other than
+"linear", the panel is cut out of a lattice of squares, with 9 points each.
 """
 
 from mpi4py import MPI
@@ -24,7 +24,7 @@ KINDS = {
     "linear": ("none", "ppp", "asgs", "osgs"),
     "smooth": ("none", "cip", "hessian", "split_osgs"),
 }
-CONVERGED = {0.5: 0.2761, 0.499: 0.2765}  # m, of the tip by Poisson's ratio, P2-P1 elements
+CONVERGED = {0.5: 0.2761, 0.499: 0.2765}  # tip [m] by Poisson's ratio, P2-P1 elements
 
 
 def panel(x):
@@ -32,7 +32,7 @@ def panel(x):
 
 
 def solve_on_lattice(n, stabilization, nu=0.5, functions="quadratic"):
-    """Points, displacement of the tip upwards [m], and Newton iterations; n squares a width."""
+    """Return points, upward displacement of the tip [m], and iterations; n squares per side."""
     h, rows = 48 / n, n * 60 // 48 + 1
     domain = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (48 + h, rows * h)], [n + 1, rows], mesh.CellType.quadrilateral,
@@ -55,7 +55,7 @@ def solve_on_lattice(n, stabilization, nu=0.5, functions="quadratic"):
 
 
 def solve(n, stabilization, nu=0.5):
-    """Pressure on the grid, displacement of the tip upwards [m], and Newton iterations."""
+    """Return nodal pressure, upward displacement of the tip [m], and Newton iterations."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, diagonal=mesh.DiagonalType.right)
     x, y, _ = domain.geometry.x.T.copy()
     domain.geometry.x[:, :2] = np.column_stack([48 * x, 44 * x + (44 - 28 * x) * y])
@@ -66,7 +66,7 @@ def solve(n, stabilization, nu=0.5):
     z.fix("u", lambda x: np.isclose(x[0], 0))
     R = formulations.stabilized(stabilization, z, body, NeoHookean(E=70.0, nu=nu))  # Pa
     R += formulations.dead_load(z.test.u, edge, (0, 0.0625))  # Pa
-    # MUMPS is to detect the pressures that do no work and take some multiple of them
+    # MUMPS detects the pressures that do no work, and returns some multiple of them
     detect = {"mat_mumps_icntl_24": 1, "mat_mumps_cntl_3": -1e-10}
     options = detect if stabilization == "none" else None
     newton = NewtonSolver(R, z.U, z.bcs, petsc_options=options).solve()
@@ -77,7 +77,7 @@ def solve(n, stabilization, nu=0.5):
 def main(
     nu: float = 0.5, sizes: list[int] = [8, 16, 32, 64, 128], functions: str = "linear"
 ):  # fmt: skip
-    """Compare stabilizations of equal orders, for Poisson's ratio NU and squares a side."""
+    """Compare stabilizations, for Poisson's ratio NU and numbers SIZES of squares per side."""
     limit, tips, pressures = CONVERGED.get(nu), {}, {}
     columns = {"squares": "d", "stabilization": "s", "tip [m]": ".4f", "to the limit": "+.2%"}
     table = io.Table({**columns, "Newton iterations": "d"})

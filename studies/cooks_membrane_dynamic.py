@@ -2,13 +2,13 @@
 """Cook's membrane in motion: figures 6a, 6c and 6d of VMS, other schemes, and the case of CMN.
 
 The problem is that of demos/cooks_membrane_dynamic.py. VMS compares stabilizations (6a), numbers of
-points a cell (6c) and sizes of cells (6d); the slides of Moreno, Contri and Larese (CMN 2022) have
-Miehe's volumetric law, short steps and, here, subscales with inertia and tied nodes (cmn). The
-other figures are of smooth functions on squares: cells and points (smooth), stabilizations and
-functions (kinds), corrected weights (weights), time schemes (times), the case of CMN (smooth-cmn),
-and linear functions beside them (triangles). Turning points are compared with Taylor-Hood P2-P1
-finite elements; heights as shares of the first peak. What the energy lacks is a share of the
-largest work of the load.
+points per cell (6c) and cell sizes (6d). The slides of Moreno, Contri and Larese (CMN 2022) have
+Miehe's volumetric law and short steps; unlike there, "cmn" has subscales with inertia and tied
+nodes. The other figures show smooth functions on squares: cells and points (smooth), stabilizations
+and functions (kinds), corrected weights (weights), time schemes (times), the case of CMN
+(smooth-cmn), and linear functions for comparison (triangles). Turning points are compared with
+Taylor-Hood P2-P1 finite elements; their heights are relative to the first peak. The missing energy
+is relative to the largest work of the load.
 """
 
 from pathlib import Path
@@ -62,7 +62,7 @@ def build(
     stabilization="asgs", h=0.1, per_cell=33, scheme="Bossak", dt=0.025, volumetric="quadratic",
     transient=False, tied=False, corrected=True, functions="linear",
 ):  # fmt: skip
-    """The loop, and the energy of stabilization [J]; carried are the loaded edge and the tip."""
+    """Return the loop, carrying loaded edge and tip, and the energy of stabilization [J]."""
     nx, ny = (int(np.ceil(length / h - 1e-9)) for length in (6, 10))
     is_smooth = functions != "linear"
     kind = mesh.CellType.quadrilateral if is_smooth else mesh.CellType.triangle
@@ -102,7 +102,7 @@ def build(
 
 
 def run(until, label, movie=None, **case):
-    """Times [s], displacements of the tip upwards [m], and what the energy lacks [J], by work."""
+    """Return times [s], upward displacements of the tip [m], and missing energy by work."""
     (sim, stored), law = build(**case), NeoHookean(250.0, nu=0.5)
     rows, frames, (body,), edge = [(0.0, 0.0, 0.0, 0.0)], [], sim.bodies, sim.carried[0]
     try:
@@ -128,7 +128,7 @@ def main(
 ):  # fmt: skip
     """Repeat FIGURES: 6a, 6c, 6d, schemes, cmn, smooth, kinds, weights, times, triangles, ...
 
-    The options are for cases that leave them out.
+    The options apply to cases that do not set them.
     """
     if unknown := set(figures) - set(FIGURES):
         raise typer.BadParameter(f"{', '.join(unknown)}: the figures are {', '.join(FIGURES)}")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The implicit dam break on several meshes and with other time schemes.
 
-Prints what happens to the volume, the sum of det f - 1 over points and steps and the water that
-finds more than the volume around its nodes taken, and how far front, foremost point and residual
-height are from the experiment of Martin and Moyce.
+The script prints the change of volume in two measures: the sum of det f - 1 over points and steps,
+and the share of the water in excess of the volume around its nodes. It also prints how far front,
+foremost point and residual height are from the experiment of Martin and Moyce.
 """
 
 from mpi4py import MPI
@@ -20,8 +20,8 @@ from fenicsmpm.transfer import p2g
 
 BOX, DENSITY, G = (6.0, 2.4), 1000.0, 9.81  # m, kg/m^3, m/s^2
 SCHEMES = "BDF2", "Newmark", "Bossak", "GeneralizedAlpha"
-# Martin and Moyce (1952), a column 2 a high and a wide: z/a (table 2) at t sqrt(2 g / a), height by
-# the first one (table 6) at t sqrt(g / a); and fronts of Koshizuka and Oka (1996)
+# Martin and Moyce (1952), a column of height 2 a and width a: z/a (table 2) at t sqrt(2 g / a), and
+# height over its initial value (table 6) at t sqrt(g / a); fronts of Koshizuka and Oka (1996)
 FRONT = np.array([
     [0.41, 0.84, 1.19, 1.43, 1.63, 1.83, 1.98, 2.20, 2.32, 2.51, 2.65, 2.83, 2.98, 3.11, 3.33],
     [1.11, 1.22, 1.44, 1.67, 1.89, 2.11, 2.33, 2.56, 2.78, 3.00, 3.22, 3.44, 3.67, 3.89, 4.11],
@@ -44,7 +44,7 @@ def build(h, dt, scheme="BDF2", stabilization="asgs", functions="linear"):
         MPI.COMM_WORLD, [(0, 0), BOX], cells, kind, diagonal=crossed,
         partitioner=basis.shared_vertex_partitioner,
     )  # fmt: skip
-    if is_smooth:  # about as many points a square as in four triangles
+    if is_smooth:  # about as many points per square as in four triangles
         water = points.fill(domain, 5, inside=inside)
         basis.use(water, functions, h / 10 if functions == "gimp" else None)
     else:
@@ -89,7 +89,7 @@ def build(h, dt, scheme="BDF2", stabilization="asgs", functions="linear"):
 
 
 def deviations(history):
-    """Largest ones of front, foremost point and height, until the front is at 3.5 a."""
+    """Return the largest deviations of front, foremost point and height, up to a front of 3.5 a."""
     t, front = history["t [s]"] * np.sqrt(G), FRONT[:, FRONT[1] <= 3.5]
     found = {"front": (front, 2**0.5), "foremost": (front, 2**0.5), "height": (RESIDUAL, 1.0)}
     for title, ((times, known), c) in found.items():
@@ -107,14 +107,15 @@ def main(
     stabilization: str = "asgs",
     functions: str = "linear",
 ):
-    """Cells of size h in m; schemes as in formulations; stabilization: asgs or osgs.
+    """Run the dam break on cells of size H in m.
 
-    With functions other than linear, it is the interior penalty.
+    Schemes are those of formulations. Stabilizations are asgs or osgs; functions other than linear
+    have the interior penalty.
     """
     if scheme not in SCHEMES or stabilization not in ("asgs", "osgs"):
         raise typer.BadParameter(f"schemes: {', '.join(SCHEMES)}; stabilizations: asgs, osgs")
     if any(not np.isclose(0.2 / size % 1, [0, 1]).any() for size in h):
-        raise typer.BadParameter("cells of 0.2 m, or that by an integer")
+        raise typer.BadParameter("the cell size must be 0.2 m, or 0.2 m divided by an integer")
     how = stabilization if functions == "linear" else functions
     rows, fronts, name = [], {}, f"output/dam_break_implicit_{scheme}_{how}"
     for size in h:

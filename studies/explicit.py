@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Examples of Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit MPM".
 
-The demos say what they are; here are other averages of J, grid functions and sizes of cells.
-``python studies/explicit.py cook --help`` shows the options of one; lists are given as
-``--averages F-bar --averages standard``. Figures and files are in output/.
+The demos describe the problems. This script runs them with other averages of J, grid functions and
+cell sizes. ``python studies/explicit.py cook --help`` lists the options of one problem. Lists are
+given as ``--averages F-bar --averages standard``. Figures and files are written to output/.
 """
 
 import math
@@ -32,7 +32,7 @@ app = typer.Typer(help=__doc__, pretty_exceptions_enable=False)
 
 
 def cases(bases, averages):
-    """By title, functions and averages of J; these may also be r,s of ``FBar``, as in 0.1,100."""
+    """Return functions and averages of J by title; averages may also be r,s of ``FBar``."""
     try:
         for a in set(averages) - set(AVERAGES):
             AVERAGES[a] = fm.FBar(*map(float, a.split(",")))
@@ -43,7 +43,7 @@ def cases(bases, averages):
 
 
 def velocity(lower, upper, h, walls=True, beyond=0, **kind):
-    """Unknown on a background mesh, with slip at its edges, or with cells beyond these walls."""
+    """Return the unknown on a mesh with slip at its edges, or with cells beyond these walls."""
     corners = [np.array(lower) - beyond * h, np.array(upper) + beyond * h]
     shape = np.rint((corners[1] - corners[0]) / h).astype(int).tolist()
     in_space = len(shape) == 3
@@ -57,7 +57,7 @@ def velocity(lower, upper, h, walls=True, beyond=0, **kind):
 
 
 def seen(body, functions, spacing, density=None):
-    """The same points, undeformed if they have a density, which see grid functions."""
+    """Choose grid functions of points and return these; undeformed if a density is given."""
     if functions != "linear":
         basis.use(body, functions, *([spacing / 2] if functions == "gimp" else []))
     if density:
@@ -78,7 +78,7 @@ def extent(values):
 
 
 def pressures(body, unit):
-    """Points with their mean stress in some unit."""
+    """Return points with their mean stress in a unit."""
     cloud = io.gather_points(body)
     if cloud is not None:
         cloud["p"] = mean_stress(cloud["sigma"]) / unit
@@ -90,8 +90,8 @@ def panel(x):
 
 
 def membrane(functions, averages, h, steps):
-    """Cook's membrane: body, history of the tip, roughness of p by the load per area."""
-    # diagonals across the panel bend more easily than those along it
+    """Return body of Cook's membrane, history of the tip, and roughness of p over load per area."""
+    # diagonals across the panel bend more easily than diagonals along it
     triangles = {"cell_type": CellType.triangle, "diagonal": DiagonalType.left}
     kind = triangles if functions == "linear" else {}
     z = velocity((0, -2), (50, 64), h, walls=False, **kind)
@@ -103,7 +103,7 @@ def membrane(functions, averages, h, steps):
     R = fm.internal_force(z.test.v, body, NeoHookean(E=70.0, nu=0.499), fbar=averages)
     R += fm.dead_load(z.test.v, edge, (0.0, 1 / 16))  # Pa
     history = io.History({"tip [m]": lambda sim: probe(tip, "u")[1]})
-    # with such damping it is at rest soonest; splines at the light corner need short steps
+    # this damping leads to rest soonest; splines at the light corner need short steps
     damping, cfl = {"quadratic": (0.8, 0.3), "gimp": (0.9, 0.3), "linear": (0.7, 0.8)}[functions]
     options = {"carried": [edge, tip], "observers": [history]}
     sim = ExplicitMPM(R, z, body, cfl=cfl, damping=damping, **options)
@@ -113,7 +113,7 @@ def membrane(functions, averages, h, steps):
 
 @app.command()
 def cook(h: float = 1.0, steps: int = 60000, bases: Names = SPLINES, averages: Names = [*AVERAGES]):
-    """Cook's membrane with cells of h m: tip, how it still moves, roughness of the mean stress."""
+    """Cook's membrane, cells of H m: tip, its remaining motion, roughness of the mean stress."""
     columns = {"averages, functions".ljust(25): "s", "tip [m]": ".4f", "off 0.2765 m": "+.1%"}
     table = io.Table(columns | {"change in the last quarter": ".2%", "roughness": ".4f"})
     curves, clouds = {}, {}
@@ -127,7 +127,7 @@ def cook(h: float = 1.0, steps: int = 60000, bases: Names = SPLINES, averages: N
 
 
 def strip(functions, averages, cells, size=6, settlement=0.004):
-    """Strip footing, 1 m wide: ground, settlements [m] and loads by the strength."""
+    """Return ground of a strip footing of width 1 m, settlements [m], and loads over strength."""
     h, clay = 1 / cells, VonMises(E=1e6, nu=0.49, sigma_y=math.sqrt(3) * 100.0)
     z = velocity((0, 0), (size, size + 4 * h), h)
     ground = points.lattice(z.mesh, h / 2, inside=lambda x: x[1] < size)
@@ -144,7 +144,7 @@ def strip(functions, averages, cells, size=6, settlement=0.004):
 
 @app.command()
 def footing(n: list[int] = [20], bases: Names = SPLINES, averages: Names = FBAR, size: int = 6):
-    """Strip footing with n cells along its width B, on ground of a size in B: load it bears."""
+    """Bearing capacity of a strip footing, N cells wide, on ground that is SIZE times as wide."""
     table = io.Table({"case".ljust(32): "s", "plateau": ".3f", "off 2 + pi": "+.1%"})
     curves, clouds = {}, {}
     for (name, case), cells in product(cases(bases, averages).items(), n):
@@ -158,7 +158,7 @@ def footing(n: list[int] = [20], bases: Names = SPLINES, averages: Names = FBAR,
 
 
 def flume(functions, averages, wall, beyond, damping, water=None, h=0.25, per_side=5, dt=1e-5):
-    """Water in a box with cells beyond its walls, new or as it is in another: history and loop."""
+    """Return history and loop of water in a box with cells beyond its walls; new or given water."""
     z, spacing = velocity((0, 0), (wall, 6), h, beyond=beyond), h / per_side
     if water is None:
         inside = lambda x: (x[:2] > 0).all(axis=0) & (x[0] < 4) & (x[1] < 2)  # noqa: E731
@@ -177,7 +177,7 @@ def flume(functions, averages, wall, beyond, damping, water=None, h=0.25, per_si
 
 
 def released(case, wall=8.0, beyond=0, until=1.2, at=(), **options):
-    """History, clouds at some times, and how far pressures at rest are off, by rho g H."""
+    """Return history, clouds at some times, and errors of pressures at rest over rho g H."""
     _, sim = flume(*case, 4.0, beyond, 0.5, **options)
     list(advance(sim, 0.3, 0.03, "filling"))
     (water,) = sim.bodies
@@ -194,7 +194,7 @@ def released(case, wall=8.0, beyond=0, until=1.2, at=(), **options):
 @app.command()
 def dam(wall: float = 8.0, beyond: int = 0, until: float = 1.2, averages: Names = FBAR,
         bases: Names = SPLINES):  # fmt: skip
-    """Dam break, the paper's until 2 s; cells beyond walls, as in codes without edges."""
+    """Dam break UNTIL a time in s, 2 in the paper; BEYOND layers of cells outside the walls."""
     columns = {"averages, functions".ljust(25): "s", "t [s]": ".2f", "front [m]": ".2f"}
     columns |= {"least J": ".4f", "largest J": ".4f", "change of volume": "+.2%"}
     table, fronts = io.Table(columns), {}
@@ -212,7 +212,7 @@ def dam(wall: float = 8.0, beyond: int = 0, until: float = 1.2, averages: Names 
 
 
 def slope(functions, averages, h, dt=None):
-    """The slope of the landslide, 5 m wide: law by reduction of its peak strength, and loop."""
+    """Return the landslide's law by the reduction of its strength, and its loop; 5 m wide."""
     law = lambda by: VonMises(E=25e6, nu=0.499, sigma_y=50e3 / by, sigma_r=3e3, eta=5.0)  # noqa: E731
     z = velocity((0.0, 0.0, 0.0), (40.0, 5.0, 6.0), h)
     z.fix("v", lambda x: np.isclose(x[2], 0))
@@ -226,7 +226,7 @@ def slope(functions, averages, h, dt=None):
 @app.command()
 def landslide(h: float = 0.5, until: float = 4.5, dt: float | None = None, averages: Names = FBAR,
               bases: Names = SPLINES, restart: bool = False):  # fmt: skip
-    """Landslide in space, some s after the failure; the paper's is --h 0.2 --dt 5e-5 (1 hour)."""
+    """Landslide in 3D UNTIL s after the failure; the paper's is --h 0.2 --dt 5e-5 (1 hour)."""
     columns = {"averages, functions".ljust(25): "s", "t [s]": ".2f", "run-out [m]": ".2f"}
     columns |= {"plastic strain": ".2f", "least J": ".4f", "largest J": ".4f"}
     table = io.Table(columns | {"mean stress from [kPa]": ".0f", "to [kPa]": ".0f"})
@@ -256,7 +256,7 @@ def landslide(h: float = 0.5, until: float = 4.5, dt: float | None = None, avera
 
 
 def spinning(functions, flip, h, turns, rate=0.2):
-    """A free elastic disc: steps of some turns, and the share of its angular momentum left."""
+    """Return number of steps and remaining angular momentum of a free disc after some turns."""
     z = velocity((0, 0), (1, 1), h, walls=False)
     disc = points.lattice(z.mesh, h / 2, inside=lambda x: np.hypot(*(x[:2] - 0.5)) < 0.3)
     seen(disc, functions, h / 2)
@@ -271,7 +271,7 @@ def spinning(functions, flip, h, turns, rate=0.2):
 @app.command()
 def spin(h: float = 0.05, turns: float = 2.0, bases: Names = SPLINES,
          flip: list[float] = [1.0, 0.99, 0.0]):  # fmt: skip
-    """A free disc spins: the angular momentum that shares of FLIP leave after some turns."""
+    """Spinning free disc: the angular momentum that fractions of FLIP keep after some turns."""
     table = io.Table({"functions".ljust(9): "s", "FLIP": ".2f", "steps": "d", "left": ".1%"})
     for functions, share in product(bases, flip):
         table.row(functions.ljust(9), share, *spinning(functions, share, h, turns))

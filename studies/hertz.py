@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Hertz: two elastic discs pressed together, width of contact and peak pressure.
+"""Hertz contact of two elastic discs: width of the contact and peak pressure.
 
-Line contact of two cylinders of radius R in plane strain under a load P per length: half width
-``b = sqrt(4 P R (1 - nu^2) / (pi E))`` and peak pressure ``p_0 = 2 P / (pi b)``, a semi-ellipse
-(K. L. Johnson, Contact Mechanics, 1985, section 4.2 and appendix 3). The discs are halves, whose
-flat sides come nearer to each other by a given share of R; 0.03 makes b about 0.1 R.
+Two cylinders of radius R in plane strain touch along a line under a load P per length. The pressure
+is a semi-ellipse with half width ``b = sqrt(4 P R (1 - nu^2) / (pi E))`` and peak ``p_0 = 2 P /
+(pi b)`` (K. L. Johnson, Contact Mechanics, 1985, section 4.2 and appendix 3). The discs are halves,
+whose flat sides approach each other by a given fraction of R; 0.03 makes b about 0.1 R.
 
-Both loops give forces at the nodes, which are integrals of the pressure with quadratic B-splines.
-The half width is that of the semi-ellipse with their second moment. The peak is what the node in
-the middle has, as a share of what Hertz's pressure of the same load gives it. Small strains are
-assumed: with b = 0.2 R the exact width is some percent less.
+Both loops give nodal forces, which are integrals of the pressure with quadratic B-splines. The half
+width is that of the semi-ellipse with the same second moment. The peak is the force of the middle
+node, divided by the force that Hertz's pressure of the same load gives this node. The theory has
+small strains: with b = 0.2 R the exact width is some percent less.
 
-``python studies/hertz.py --loops implicit --cells 40`` is one loop on a finer grid.
+``python studies/hertz.py --loops implicit --cells 40`` runs one loop on a finer grid.
 """
 
 import time
@@ -33,21 +33,21 @@ COMM = MPI.COMM_WORLD
 
 
 def hertz(P):
-    """Half width [m] and peak pressure [Pa]."""
+    """Return half width [m] and peak pressure [Pa]."""
     b = np.sqrt(4 * P * RADIUS * (1 - LAW.nu**2) / (np.pi * LAW.E))
     return b, 2 * P / (np.pi * b)
 
 
 def ring(n, radius, up):
-    """Unit vectors to the middles of n parts of half a circle, above or below its centre."""
+    """Return unit vectors to the middles of n parts of a half circle, above or below its centre."""
     t = np.pi * (np.arange(n) + 0.5) / n
     return np.column_stack([np.cos(t), up * np.sin(t)]), np.pi * radius / n
 
 
 def half_disc(domain, height, up, spacing):
-    """Rings of points around (0, height), above or below it, and points on the outer circle.
+    """Return rings of points above or below (0, height), and points on the outer circle.
 
-    A lattice would have steps at the surface, by which the pressure is rough.
+    A lattice would have steps at the surface, which make the pressure rough.
     """
     n = round(RADIUS / spacing)
     step, x, weight = RADIUS / n, [], []
@@ -70,7 +70,7 @@ def half_disc(domain, height, up, spacing):
 
 
 def discs(cells, per_side):
-    """Cell size, and two half discs that touch in the origin, each with its outer circle."""
+    """Return the cell size, and two half discs that touch at the origin, with outer circles."""
     h, n = RADIUS / cells, cells + 2
     domain = mesh.create_rectangle(
         COMM,
@@ -83,7 +83,7 @@ def discs(cells, per_side):
 
 
 def by_column(positions, forces):
-    """Where nodes are along the contact [m], and their normal forces [N], column by column."""
+    """Return positions of nodes along the contact [m], and their normal forces [N], by column."""
     pairs = zip(COMM.allgather(positions[:, 0]), COMM.allgather(forces[:, 1]), strict=True)
     x, f = (np.concatenate(a) for a in zip(*pairs, strict=True))
     columns, place = np.unique(np.round(x, 9), return_inverse=True)
@@ -91,7 +91,7 @@ def by_column(positions, forces):
 
 
 class NodalForces(Observer):
-    """Forces of a form at the nodes of an unknown's displacement, when a step is solved."""
+    """Nodal forces of a form at the displacement of an unknown, when a step is solved."""
 
     def __init__(self, z, form):
         self._z, self._form = z, forms.form(form)
@@ -106,11 +106,11 @@ class NodalForces(Observer):
 
 
 def implicit(cells, way, per_side=3, factor=5.0, steps=5):
-    """Columns of nodal forces after load steps, with a penalty at points on the lower disc."""
+    """Return columns of nodal forces after load steps, with a penalty at the lower disc."""
     h, ((lower, edge), (upper, surface)) = discs(cells, per_side)
     z = fm.coupled_unknowns(lower.mesh, ["u"], ["u"])
     z[0].fix("u", lambda x: x[1] < -RADIUS + 1e-9)
-    # conditions hold nodes: the body must not leave the cells around these
+    # conditions hold nodes: the body must stay in the cells around these
     z[1].fix("u", lambda x: x[1] > RADIUS - way - h, lambda t: (0.0, -way * min(t, 1.0)))
     R = contact = fm.contact(z[0], edge, z[1], surface, LAW, factor=factor)
     for own, body in zip(z, (lower, upper), strict=True):
@@ -128,20 +128,20 @@ def implicit(cells, way, per_side=3, factor=5.0, steps=5):
         observers=[found],
         newton={"tying": Tying.of_each(z, [lower, upper], active)},
     )
-    # without motion in the last step: forces are found where points are at its beginning
+    # the last step has no motion, as forces refer to the positions at the beginning of a step
     for _ in io.watch(sim.run(1 + 1 / steps), 1 + 1 / steps, f"implicit, R / h = {cells}"):
         pass
     return h, *found.columns
 
 
 def explicit(cells, way, per_side=3, damping=0.3, crossings=10):
-    """Columns of nodal forces after a slow approach and a rest, with damping."""
+    """Return columns of nodal forces after a slow approach and a rest, with damping."""
     h, ((lower, _), (upper, _)) = discs(cells, per_side)
     z = fm.Unknown(lower.mesh, "v")
     wave = np.sqrt((LAW.kappa + 4 / 3 * LAW.mu) / DENSITY)
     end = crossings * 2 * RADIUS / wave
     z.fix("v", lambda x: x[1] < -RADIUS + 1e-9)
-    # a ramp without jumps of the velocity
+    # a ramp whose velocity has no jumps
     speed = lambda t: -way / end * (1 - np.cos(2 * np.pi * min(t / end, 1.0)))  # noqa: E731
     z.fix("v", lambda x: x[1] > RADIUS - way - h, lambda t: (0.0, speed(t)))
     R, other = (fm.internal_force(z.test.v, body, LAW) for body in (lower, upper))
@@ -154,13 +154,13 @@ def explicit(cells, way, per_side=3, damping=0.3, crossings=10):
 
 
 def splines(t):
-    """Quadratic B-spline of a node, by the distance in cells; its variance is 1/4."""
+    """Return the quadratic B-spline at a distance in cells; its variance is 1/4."""
     t = np.abs(t)
     return np.where(t < 0.5, 0.75 - t**2, 0.5 * np.maximum(1.5 - t, 0.0) ** 2)
 
 
 def compare(h, x, f):
-    """Load [N], b and p_0 by Hertz, and by how much the width and the peak differ from these."""
+    """Return load [N], b and p_0 by Hertz, and the deviations of width and peak from these."""
     b, peak = hertz(f.sum())
     width = 2 * np.sqrt((f * x**2).sum() / f.sum() - h**2 / 4)
     y = b * (np.arange(10000) + 0.5) / 10000
@@ -176,7 +176,7 @@ def main(
     cells: list[int] = [20],
     ways: list[float] = [0.03],
 ):
-    """Compare loops, cells in the radius and ways as shares of the radius with Hertz."""
+    """Compare LOOPS, CELLS along the radius, and approaches WAYS in units of the radius."""
     if unknown := set(loops) - set(LOOPS):
         raise typer.BadParameter(f"loops are {', '.join(LOOPS)}, not {', '.join(unknown)}")
     formats = {"load [N/m]": ".3f", "b / R": ".4f", "p_0 [Pa]": ".2f"}

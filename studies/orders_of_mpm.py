@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Which orders of convergence the Material Point Method has, and what costs them.
+"""Orders of convergence of the Material Point Method, and what reduces them.
 
-Manufactured motions: standing waves in a box of rollers, with points that stay in their cells or
-cross some, a ring whose layers turn, and an incompressible block at rest. Each row is a set of grid
-functions and a time loop; what is suspected to cost the order is switched off one by one. Prints a
-table of the errors of displacement, and of pressure (p), with the slopes of their regression lines.
+Manufactured motions: standing waves in a box on rollers, with points that stay in their cells or
+cross some; a ring whose layers rotate; and an incompressible block at rest. Each row is a set of
+grid functions and a time loop, with one suspected cause of a lower order removed after the other.
+The script prints a table of the errors of displacement and of pressure (p), with the slopes of
+their regression lines.
 """
 
 import math
@@ -28,7 +29,7 @@ WAVE = math.sqrt(10.0)  # m/s
 
 
 def elastic(law, is_mixed=False):
-    """Energy of a compressible solid, or of the isochoric part of an incompressible one."""
+    """Return the energy of a compressible solid, or of an incompressible one's isochoric part."""
 
     def energy(F):
         J = ufl.det(F)
@@ -43,7 +44,7 @@ def see(body, functions, spacing):
 
 
 def waves(n, functions, loop, amplitude, per=2, lumping=1.0, flip=1.0, corrected=False, until=0.2):
-    """Error in the box, n cells a side."""
+    """Return the error in the box, with n cells per side."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, mesh.CellType.quadrilateral)
     body = points.fill(domain, per)
     see(body, functions, 1 / n / per)
@@ -83,7 +84,7 @@ def waves(n, functions, loop, amplitude, per=2, lumping=1.0, flip=1.0, corrected
 
 
 def block(n, functions, formulation, per=3):
-    """Errors in a block at rest whose boundary is held as in demos/manufactured_solution.py."""
+    """Return errors of a block at rest, supported as in demos/manufactured_solution.py."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n, mesh.CellType.quadrilateral)
     body = points.fill(domain, per)
     see(body, functions, 1 / n / per)
@@ -119,7 +120,7 @@ def block(n, functions, formulation, per=3):
 
 
 def vortex(n, functions, formulation, tied=True, corrected=True, angle=0.3):
-    """Errors in the ring, whose points move by up to 0.3 m; n cells a side."""
+    """Return errors in the ring, whose points move by up to 0.3 m; n cells per side."""
     h = 3 / n
     lattice = functions != "linear"
     kind = mesh.CellType.quadrilateral if lattice else mesh.CellType.triangle
@@ -206,7 +207,7 @@ def main(
     waves_on: list[int] = [8, 16, 32], vortex_on: list[int] = [24, 48, 96],
     block_on: list[int] = [8, 16, 32, 64], only: str = "",
 ):  # fmt: skip
-    """Print the rows whose case begins with ONLY, on meshes of these numbers of cells a side."""
+    """Print rows whose case begins with ONLY, on meshes with these numbers of cells per side."""
     sizes = {waves: waves_on, vortex: vortex_on, block: block_on}
     table = io.Table(
         {"case".ljust(50): "s", "coarse": ".2e", "medium": ".2e", "fine": ".2e", "order": ".2f"}
@@ -218,7 +219,7 @@ def main(
         for n in sizes[errors]:
             try:
                 found.append(errors(n, **options))
-            except RuntimeError:  # no solution
+            except RuntimeError:  # no solution found
                 found.append({})
         for part in max(found, key=len):
             values = [some.get(part) for some in found]

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Cook's membrane and the strip footing by load steps, beside the explicit results.
+"""Cook's membrane and the strip footing by load steps, compared with explicit results.
 
-Both are at rest in the end, so implicit steps without inertia, which grow where they are easy, get
-there as well. Points move and carry the state, as in ``explicit.py``.
+Both problems end at rest, so implicit load steps without inertia solve them, too. The steps grow if
+Newton's method converges easily. Points move and carry the state, as in ``explicit.py``.
 
-Cook's membrane is in displacement increments and mean stresses, stabilized by subgrid scales (ASGS)
-or PPP. Nodes at the rim, where the body does not fit the mesh, are tied to filled cells. It has 16
-points in a square; with 4, which is 2 in a triangle, it is too soft by 6 percent.
+Cook's membrane has displacement increments and mean stresses as unknowns, with subgrid scales
+(ASGS) or PPP as stabilization. Nodes at the rim, where the body does not fit the mesh, are tied to
+filled cells. It has 16 points per square. With 4 points, which is 2 per triangle, it is too soft by
+6 percent.
 
-The footing has the return map of its law in the form. In displacements alone ("u") it locks. In
-"u-p" its mean Kirchhoff stress is an unknown, ln J = p / kappa, with PPP. What is held ends
-between the last node under the footing and the next: loads are too large by about h / B, and
-nearer to the limit load by width of what is held, B + h.
+The footing has the return mapping of its law in the form. In displacements alone ("u") it locks. In
+"u-p" the mean Kirchhoff stress is an unknown, ln J = p / kappa, with PPP. The edge of the held
+part lies between the last node under the footing and the next one. Loads are therefore too large by
+about h / B. Divided by the width B + h instead, they are closer to the limit load.
 """
 
 import math
@@ -33,7 +34,7 @@ CLAY = VonMises(E=1e6, nu=0.49, sigma_y=math.sqrt(3) * 100.0)  # Pa
 
 
 def cook(h, stabilization, per_side=4):
-    """Displacement of the tip [m], and the number of load steps."""
+    """Return the displacement of the tip [m], and the number of load steps."""
     shape, left = [round(50 / h), round(66 / h)], mesh.DiagonalType.left
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [(0, -2), (50, 64)], shape, diagonal=left)
     body = points.lattice(domain, h / per_side, inside=panel)
@@ -60,7 +61,7 @@ def cook(h, stabilization, per_side=4):
 
 
 def footing(cells, formulation, settlement=0.004, size=4):
-    """Settlements by the width B, loads by the strength, and the number of load steps."""
+    """Return settlements over width B, loads over strength, and the number of load steps."""
     shape = [size * cells, size * cells]
     domain = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (size, size)], shape, mesh.CellType.quadrilateral
@@ -87,7 +88,7 @@ def footing(cells, formulation, settlement=0.004, size=4):
 
 
 def main(h: list[float] = [2.0, 1.0], cells: list[int] = [10, 20]):
-    """Cook's membrane with cells of h m, and footings with some cells along their width."""
+    """Run Cook's membrane with cells of H m, and footings with CELLS along their width."""
     columns = {"problem".ljust(12): "s", "cells".ljust(6): "s", "method".ljust(16): "s"}
     table = io.Table(columns | {"result": ".4f", "reference": ".4f", "off": "+.1%", "steps": "d"})
     for size in h:

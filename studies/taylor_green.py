@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Orders of convergence of Taylor and Green's vortex, and what triangles do to it.
+"""Order of convergence of the Taylor-Green vortex, and how it depends on the triangles.
 
-The number of points along the side of a triangle grows as cells become smaller, from 4 to 16, or
-stays at 4: then errors of integration end the convergence. With splines on squares (FUNCTIONS),
-points along a side of a square are half as many again.
+The number of points along the side of a triangle grows from 4 to 16 as cells become smaller, or
+stays at 4. In the latter case integration errors stop the convergence. With splines on squares
+(FUNCTIONS), there are 1.5 times as many points along the side of a square.
 """
 
 from mpi4py import MPI
@@ -15,7 +15,7 @@ from dolfinx import mesh
 from fenicsmpm import ImplicitMPM, basis, formulations, io, points
 from fenicsmpm.cells import ActiveCells
 
-POINTS = {8: 4, 16: 8, 32: 16}  # along the side of a triangle, by the squares along the box
+POINTS = {8: 4, 16: 8, 32: 16}  # squares along the box: points along the side of a triangle
 
 
 def exact(x, t, viscosity):
@@ -25,7 +25,7 @@ def exact(x, t, viscosity):
 
 
 def error(n, per_side, viscosity=0.1, diagonal="crossed", until=0.1, functions="linear"):
-    """Relative L2 error of the points' velocity, and the points."""
+    """Return the relative L2 error of the points' velocity, and the points."""
     kind, is_smooth = getattr(mesh.DiagonalType, diagonal), functions != "linear"
     cell = mesh.CellType.quadrilateral if is_smooth else mesh.CellType.triangle
     partitioner = basis.shared_vertex_partitioner
@@ -60,9 +60,9 @@ def main(
     viscosity: float = 0.1, diagonal: str = "crossed", until: float = 0.1, finest: int = 32,
     functions: str = "linear",
 ):  # fmt: skip
-    """Viscosity in Pa s; diagonals of squares: crossed, left_right or right."""
+    """Measure errors for a VISCOSITY in Pa s; DIAGONAL of squares: crossed, left_right or right."""
     if diagonal not in ("crossed", "left_right", "right"):
-        raise typer.BadParameter(f"diagonals: crossed, left_right, right, not {diagonal}")
+        raise typer.BadParameter(f"diagonal must be crossed, left_right or right, not {diagonal}")
     table = io.Table({"points a cell": "s", "h [m]": "s", "error": ".2e", "order": ".2f"})
     curves, sizes = {}, np.array([n for n in POINTS if n <= finest])
     for label, per in {"growing number": POINTS, "16": dict.fromkeys(POINTS, 4)}.items():

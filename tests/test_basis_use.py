@@ -149,7 +149,7 @@ def test_meshes_that_are_no_lattices():
 def test_meshes_with_holes():
     full = quadrilaterals()
     part = mesh.create_submesh(full, 2, np.arange(15, dtype=np.int32))[0]
-    with pytest.raises(ValueError, match="15 cells where a box of 4 x 4 cells has 16"):
+    with pytest.raises(ValueError, match="4 x 4 cells has 16 cells, but this mesh has 15"):
         basis.use(points.fill(part, 1), "quadratic")
 
 
@@ -170,9 +170,13 @@ def test_ranks_that_do_not_see_enough_say_so_together():
 @pytest.mark.parametrize(
     ("name", "half", "message"),
     [
-        ("spline", None, "no grid functions 'spline': there are linear, quadratic, cubic, gimp"),
-        ("gimp", None, "which need it"),
-        ("cubic", 0.1, "for nothing else"),
+        (
+            "spline",
+            None,
+            "unknown grid functions 'spline': choose one of linear, quadratic, cubic",
+        ),
+        ("gimp", None, "need half_size"),
+        ("cubic", 0.1, "other functions do not take it"),
         ("gimp", 0.2, "at most half a cell"),
         ("gimp", (0.1, 0.0), "above 0"),
         ("gimp", (0.1, 0.1, 0.1), "shape"),

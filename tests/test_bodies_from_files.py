@@ -189,7 +189,7 @@ def test_bad_seeding(seed):
     for spacing in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="must be positive, not"):
             seed(domain, square, spacing)
-    with pytest.raises(ValueError, match="a solid of 2 dimensions in a mesh of 3"):
+    with pytest.raises(ValueError, match="a solid of 2 dimensions does not fit a mesh of 3"):
         seed(space(2), square, 0.1)
     with pytest.raises(points.PointsOutsideError):
         seed(domain, square.transformed(1.0, 1.0), 0.1)
@@ -197,7 +197,9 @@ def test_bad_seeding(seed):
 
 def test_solid_between_points():
     small = shapes.polygon([(0.01, 0.01), (0.02, 0.01), (0.01, 0.02)])
-    with pytest.raises(ValueError, match=r"no point of a lattice of spacing 0\.5 is in Solid of 3"):
+    with pytest.raises(
+        ValueError, match=r"no point of a lattice with spacing 0\.5 lies in Solid of 3"
+    ):
         points.in_solid(plane(), small, 0.5)
 
 
@@ -251,10 +253,10 @@ def test_files_that_are_no_surfaces(directory):
     on_rank_0(write)
     for name, error, match in [
         ("nothing.stl", FileNotFoundError, "no file .*nothing.stl"),
-        ("damaged.stl", ValueError, "no triangles in it"),
-        ("cloud.vtp", ValueError, "no triangles in it"),
-        ("surface.step", ValueError, r"a surface is a file .stl, .* not '.step'"),
-        ("image.vti", ValueError, "not '.vti'"),
+        ("damaged.stl", ValueError, "contains no triangles"),
+        ("cloud.vtp", ValueError, "contains no triangles"),
+        ("surface.step", ValueError, r"a surface is read from .stl, .* not from '.step'"),
+        ("image.vti", ValueError, "not from '.vti'"),
     ]:
         with pytest.raises(error, match=match):
             points.read_solid(directory / name)
@@ -343,11 +345,11 @@ def test_files_that_are_no_images(directory):
     on_rank_0(write)
     for name, error, match in [
         ("nothing.npy", FileNotFoundError, "no file"),
-        ("line.npy", ValueError, r"not the shape \(4,\)"),
-        ("image.gif", ValueError, "an image is a file .npy, .png, .* not '.gif'"),
+        ("line.npy", ValueError, r"not shape \(4,\)"),
+        ("image.gif", ValueError, "an image is read from .npy, .png, .* not from '.gif'"),
         ("empty.png", Exception, ""),
-        ("bare.vti", ValueError, r"needs one active array of scalars, has \[\]"),
-        ("ball.vtk", ValueError, "PolyData is no image"),
+        ("bare.vti", ValueError, r"needs one active array of scalars, but has \[\]"),
+        ("ball.vtk", ValueError, "PolyData instead of an image"),
     ]:
         with pytest.raises(error, match=match):
             points.read_image(directory / name)
@@ -415,14 +417,14 @@ def test_bad_clouds(directory):
     domain = plane()
     for name, error, match in [
         ("nothing.csv", FileNotFoundError, "no file"),
-        ("short.csv", ValueError, "needs positions 'x' and 'volume', but has x"),
-        ("odd.csv", ValueError, "3 names in the first line, 2 columns"),
-        ("nowhere.csv", ValueError, "needs positions 'x' and 'volume', but has volume, mass"),
+        ("short.csv", ValueError, "needs 'x' and 'volume', but has x"),
+        ("odd.csv", ValueError, "the first line has 3 names for 2 columns"),
+        ("nowhere.csv", ValueError, "needs 'x' and 'volume', but has volume, mass"),
         ("word.csv", ValueError, "zero"),
         ("negative.csv", ValueError, "weights must be positive"),
         ("far.csv", points.PointsOutsideError, "1 of 2"),
-        ("space.csv", ValueError, "third coordinate that is not 0"),
-        ("cloud.xyz", ValueError, "a cloud is a file .csv, .npz, .* not '.xyz'"),
+        ("space.csv", ValueError, "third coordinates are not 0"),
+        ("cloud.xyz", ValueError, "a cloud is read from .csv, .npz, .* not from '.xyz'"),
     ]:
         with pytest.raises(error, match=match):
             points.read_cloud(domain, directory / name)
@@ -542,10 +544,10 @@ def test_bad_cells(directory):
             r"no physical group 'steel' .* 7 'inner' .*, 9 'outer'",
         ),
         (two, "side", 2, ValueError, "no physical group 'side' of dimension 2"),
-        (two, 7, 3, ValueError, r"group 7 of dimension 3, there are: .*7 'inner' \(dimension 2\)"),
+        (two, 7, 3, ValueError, r"dimension 3; available are: .*7 'inner' \(dimension 2\)"),
         (two, [], 2, ValueError, "not none at all"),
-        (two, 7, 1, ValueError, "dimension 2 or 3 are possible, not 1"),
-        (curved, 7, 2, ValueError, "straight sides, not Triangle 6"),
+        (two, 7, 1, ValueError, "dim must be 2 or 3, not 1"),
+        (curved, 7, 2, ValueError, "straight edges, not Triangle 6"),
         (directory / "damaged.msh", 7, 2, ValueError, "damaged.msh"),
         (directory / "mesh.foo", 7, 2, ValueError, "mesh.foo"),
     ]:

@@ -272,8 +272,8 @@ def test_damaged_files_are_refused(directory):
     for name in ("empty", "head", "half", "last", "text", "names", "sets"):
         refuse(directory / f"{name}.h5", sim, f"{name}.h5 is no checkpoint or is incomplete")
     refuse(directory / "hdf5.h5", sim, "no checkpoint of fenicsmpm")
-    refuse(directory / "time.h5", sim, "is damaged: it does not have its checksum")
-    refuse(directory / "rows.h5", sim, "is damaged: 8 values of 'cell' for 1 points")
+    refuse(directory / "time.h5", sim, "is damaged: its checksum is wrong")
+    refuse(directory / "rows.h5", sim, "is damaged: it has 8 values of 'cell' for 1 points")
     refuse(directory / "none.h5", sim, "none.h5", FileNotFoundError)
 
 
@@ -368,7 +368,7 @@ def test_a_flipped_byte_is_noticed(directory):
         whole[at + 3] ^= 1
         (directory / "flipped.h5").write_bytes(whole)
     comm.barrier()
-    refuse(directory / "flipped.h5", sim, "is damaged: it does not have its checksum")
+    refuse(directory / "flipped.h5", sim, "is damaged: its checksum is wrong")
 
 
 def test_skeletons_take_no_room_for_numbers(directory):

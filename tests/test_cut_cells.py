@@ -130,7 +130,7 @@ def test_loads_where_ranks_do_not_see_their_neighbours():
 
 def test_weights_of_a_stranger():
     _, body = disc(MPI.COMM_SELF)
-    with pytest.raises(ValueError, match="not in the active cells"):
+    with pytest.raises(ValueError, match="one of the point sets of the active cells"):
         correct_weights(body, ActiveCells(body.copy()))
 
 
@@ -398,13 +398,13 @@ def test_what_cannot_be_tied():
     W = fm.Unknown(domain, "u", "p").space
     with pytest.raises(ValueError, match="no cell is filled to 2"):
         Tying(W, body, cells, threshold=2.0)
-    with pytest.raises(ValueError, match="positive fraction on, not 0"):
+    with pytest.raises(ValueError, match="must be positive, not 0"):
         Tying(W, body, cells, threshold=0.0)
-    with pytest.raises(ValueError, match="active cells of its bodies"):
+    with pytest.raises(ValueError, match="belong to the active cells"):
         Tying(W, body.copy(), cells)
     discontinuous = (fem.functionspace(domain, ("DG", degree)) for degree in (0, 1))
     for space in (fm.Unknown(domain, "u", "p", degree=2).space, *discontinuous):
-        with pytest.raises(ValueError, match="tying is for linear functions"):
+        with pytest.raises(ValueError, match="tying needs linear functions"):
             Tying(space, body, cells)
     # a threshold that only full cells reach changes nothing here
     assert Tying(W, body, cells, 1 - 1e-9).matrix.equal(Tying(W, body, cells).matrix)

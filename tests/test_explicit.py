@@ -309,7 +309,7 @@ def test_a_law_may_change_its_parameters_only():
     sim.laws[body] = VonMises(100.0, 0.3, sigma_y=1.0)
     sim.step()
     sim.laws[body] = Hencky(100.0, 0.3)
-    with pytest.raises(ValueError, match="may change its parameters only"):
+    with pytest.raises(ValueError, match="only the parameters of"):
         sim.step()
 
 
@@ -418,13 +418,13 @@ def test_wrong_input():
         ExplicitMPM(formulations.internal_force(w, body, RUBBER), formulations.Unknown(v, "v"), [])
     with pytest.raises(ValueError, match="linear Lagrange space with 2 components"):
         simulate(fem.functionspace(V.mesh, ("Lagrange", 2, (2,))), {body: RUBBER})
-    with pytest.raises(ValueError, match="no grid functions 'quartic'"):
+    with pytest.raises(ValueError, match="unknown grid functions 'quartic'"):
         basis.use(points.fill(V.mesh, 1), "quartic")
     with pytest.raises(ValueError, match="r of F-bar"):
         formulations.FBar(r=-0.1)
     sim = simulate(V, {body: RUBBER})
     for until, interval in ((np.inf, None), (1.0, 0.0)):
-        with pytest.raises(ValueError, match="run until"):
+        with pytest.raises(ValueError, match="end of a run must be finite"):
             next(sim.run(until, interval))
     assert "points of " in repr(sim) and "step length" in repr(sim)
 

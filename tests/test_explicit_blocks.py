@@ -131,5 +131,5 @@ def test_a_shear_out_of_the_plane():
     """Kernels in the plane would lose it; forms keep it."""
     sim, body = block()
     body["F"][:, 0, 2] = 0.1
-    with pytest.raises(ValueError, match="without shear out of the plane"):
+    with pytest.raises(ValueError, match="without out-of-plane shear"):
         sim.step()

@@ -334,7 +334,7 @@ def test_wrong_sets():
         (other, [body], {}, "on the mesh of the velocity"),
         (V, [nothing], {}, "no points"),
         (W, [large], {"functions": "gimp"}, "at most half a cell"),
-        (V, [body], {"rigid": [flat]}, "has 3 dimensions, the mesh has 2"),
+        (V, [body], {"rigid": [flat]}, "has 3 dimensions, but the mesh has 2"),
         (V, [body], {"gravity": -9.81}, "body force must be 2 finite numbers"),
         (V, [body], {"gravity": (0.0, np.nan)}, "body force must be 2 finite numbers"),
     ):

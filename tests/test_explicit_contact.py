@@ -351,9 +351,9 @@ def test_wrong_contacts():
             Contact(a, b, stiffness=stiffness)
     with pytest.raises(ValueError, match="itself"):
         Contact(a, a)
-    with pytest.raises(ValueError, match="two contacts of the bodies 0 and 1"):
+    with pytest.raises(ValueError, match="bodies 0 and 1 have two contacts"):
         simulate([a, b], contacts=[Contact(a, b), Contact(b, a, 0.1)])
-    with pytest.raises(ValueError, match="no body of this simulation"):
+    with pytest.raises(ValueError, match="needs bodies of this simulation"):
         simulate([a, b], contacts=[Contact(a, other)])
     with pytest.raises(ValueError, match="carried points have no mass"):
         simulate([a, b], contacts=[Contact(a, other)], carried=[other])
@@ -367,5 +367,5 @@ def test_wrong_contacts():
         formulations.set_initial_state(body, 1.0)
     with pytest.raises(ValueError, match=r"overlap by a cell or more: .* 1\.00 and 1\.00 by them"):
         simulate([left, right], contacts=[Contact(left, right)])
-    with pytest.raises(ValueError, match="no contact of this simulation"):
+    with pytest.raises(ValueError, match="does not have the contact"):
         sim.contact_forces(Contact(a, b))

@@ -282,7 +282,7 @@ def test_wrong_input():
     for form, message in ((energy, "rank 1, not 0"), (unknown, "rank 1, not 2")):
         with pytest.raises(ValueError, match=message):
             ExplicitMPM(form, z, body)
-    with pytest.raises(ValueError, match="another function space"):
+    with pytest.raises(ValueError, match="tested on the function space of the velocity"):
         ExplicitMPM(R, formulations.Unknown(domain, "v"), body)
     with pytest.raises(ValueError, match="on the mesh of the velocity"):
         ExplicitMPM(R, formulations.Unknown(other, "v"), body)
@@ -297,7 +297,7 @@ def test_wrong_input():
     with pytest.raises(ValueError, match=r"use 0\.499"):
         alone(w, block(domain)[0], NeoHookean(E=1.0, nu=0.5))
     dust, y, w_dust = block(domain)
-    with pytest.raises(ValueError, match="give the time step dt"):
+    with pytest.raises(ValueError, match="set the time step dt"):
         ExplicitMPM(formulations.body_force(w_dust, dust, (0.0, -1.0)), y, dust)
     with pytest.raises(ValueError, match="2 finite numbers"):
         formulations.body_force(w, body, (0.0, np.nan))
@@ -308,7 +308,7 @@ def test_wrong_input():
         ({"damping": 1.0}, "damping"),
         ({"cfl": np.nan}, "cfl"),
         ({"dt": 0.0}, "time step must be positive"),
-        ({"on_exit": "vanish"}, "on_exit must be one of"),
+        ({"on_exit": "vanish"}, "on_exit must be"),
         ({"carried": [body]}, "given twice"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -317,7 +317,7 @@ def test_wrong_input():
         quads, y, v = block(MESHES["quadrilaterals"](8))
         load = quads.select(lambda x: x[0] > 0.6)
         basis.use(quads, "quadratic")
-        with pytest.raises(ValueError, match="different grid functions: linear, quadratic"):
+        with pytest.raises(ValueError, match="same grid functions, not linear, quadratic"):
             ExplicitMPM(alone(v, quads, RUBBER), y, quads, carried=[load])
 
 
@@ -333,7 +333,7 @@ def test_a_load_away_from_all_bodies():
         body,
         carried=[edge],
     )
-    with pytest.raises(UnstableError, match="a load is away from all bodies"):
+    with pytest.raises(UnstableError, match="a load acts away from all bodies"):
         sim.step()
     assert (sim.time, sim.number) == (0.0, 0)
 
@@ -354,7 +354,7 @@ def test_a_force_over_cells_away_from_all_bodies(functions, where):
         R = formulations.internal_force(w, body, RUBBER) - pull
         sim = ExplicitMPM(R, z, body, on_exit=on_exit)
         assert ("kernels" in str(sim)) == (on_exit == "error")
-        with pytest.raises(UnstableError, match="a load is away from all bodies"):
+        with pytest.raises(UnstableError, match="a load acts away from all bodies"):
             sim.step()
         assert (sim.time, sim.number) == (0.0, 0)
 

@@ -123,7 +123,7 @@ def test_only_histories_have_rates():
 
 def test_a_history_needs_a_field():
     sim_arguments = (16, 2, 0.1, 1.0, 1.0)
-    with pytest.raises(ValueError, match="without the field 'T'"):
+    with pytest.raises(ValueError, match="lacks the field 'T'"):
         domain = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
         body = points.fill(domain, 2)
         fm.set_initial_state(body, 1.0)

@@ -121,7 +121,7 @@ def test_loops_record_the_beginning_and_each_step(explicit, directory):
     kept.begin(sim)
     assert len(kept["t [s]"]) == 4
     two = io.History({**columns, "n": lambda sim: 1})
-    with pytest.raises(ValueError, match="'fall' is a history of several columns: say which"):
+    with pytest.raises(ValueError, match="'fall' is a history of several columns: choose one"):
         io.plot(directory / "fall.png", {"fall": two})
 
 

@@ -116,7 +116,7 @@ def test_gathered_mesh_does_not_depend_on_the_ranks():
 @pytest.mark.mpi
 def test_files_that_cannot_be_written_raise_on_all_ranks(directory):
     data = io.gather_points(fill(unit_mesh("triangle"), 1))
-    with pytest.raises(ValueError, match=r"ends in \.vtp"):
+    with pytest.raises(ValueError, match=r"needs the suffix \.vtp"):
         io.write(directory / "points.vtu", data)
     (directory / "file").touch()
     comm.barrier()
@@ -127,7 +127,7 @@ def test_files_that_cannot_be_written_raise_on_all_ranks(directory):
 def test_functions_that_cannot_be_gathered():
     domain = unit_mesh("triangle")
     p, _ = functions(domain)
-    with pytest.raises(ValueError, match="names of their own"):
+    with pytest.raises(ValueError, match="different names"):
         io.gather_functions([p, p])
     quadratic = fem.Function(fem.functionspace(domain, ("Lagrange", 2)), name="q")
     with pytest.raises(ValueError, match="'q' is not continuous P1"):
@@ -242,7 +242,7 @@ def test_points_plot_themselves(directory):
     assert (silver[:, inside - 200 : inside + 200].mean(axis=1) > 0.8).sum() >= 3
     with pytest.raises(ValueError, match="no field 'q'"):
         points.plot("q")
-    with pytest.raises(ValueError, match="which field is to be drawn"):
+    with pytest.raises(ValueError, match="which field should be drawn"):
         io.picture(None, {"points": points, "grid": functions(unit_mesh("triangle"))[0]})
 
 
@@ -300,13 +300,13 @@ def test_pictures_that_cannot_be_drawn_raise_on_all_ranks(directory, monkeypatch
         io.picture(path, data, "q")
     with pytest.raises(ValueError, match="no field 'u'"):
         io.picture(path, data, "p", displacement="u")
-    with pytest.raises(ValueError, match="which field is to be drawn"):
+    with pytest.raises(ValueError, match="which field should be drawn"):
         io.picture(path, data)
     with pytest.raises(ValueError, match="nothing to draw"):
         io.picture(path, {}, "p")
     points = fill(unit_mesh("triangle"), 1)
     points.add_field("v", (2,))
-    with pytest.raises(ValueError, match="components 0 to 2, not 3"):
+    with pytest.raises(ValueError, match=r"component 3 does not exist: .* components 0 to 2"):
         io.picture(path, points, "v", component=3)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr(pictures, "_needs_x_server", lambda: True)

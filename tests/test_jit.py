@@ -85,7 +85,7 @@ def test_a_compilation_that_was_killed_is_done_again(start, tmp_path, measure):
     out, err = again.communicate(timeout=60)
     assert again.returncode == 0, err
     assert out.startswith("sum 1.7")
-    assert f"compiling {source.name} anew" in err
+    assert f"compiling {source.name} again" in err
     assert not unfinished(tmp_path)
 
 
@@ -97,4 +97,4 @@ def test_a_second_process_waits_for_the_first(start, tmp_path):
     assert [process.returncode for process in (first, second)] == [0, 0], results
     assert results[0][0] == results[1][0]
     assert "waiting for another process that compiles the same" in results[1][1]
-    assert "anew" not in results[1][1]
+    assert "again" not in results[1][1]

@@ -326,7 +326,7 @@ def test_points_that_would_not_keep_their_volumes_and_other_densities():
     water = points.fill(tank((1, 1), (2, 2), MPI.COMM_SELF), 2)
     fm.set_initial_state(water, 1e3)
     flow = Flow(water)
-    with pytest.raises(ValueError, match=r"'dilation' changes in each step, .* nobody would renew"):
+    with pytest.raises(ValueError, match=r"'dilation' changes in each step, .* pass them to it"):
         ImplicitMPM(flow.R, flow.z, flow.scheme, water.copy())
     with pytest.raises(ValueError, match=r"density 1000 kg/m.d, but the fluid has 900"):
         Flow(water, density=900.0)

@@ -427,7 +427,7 @@ def test_wrong_arrays_of_the_provider(given):
         k: np.zeros((len(body), 2), dtype=np.float32) if k == "F" else a for k, a in given.items()
     }
     body.defer(["v", "F"], lambda name: given)
-    with pytest.raises(ValueError, match=r"pending field '[vF]' (did not come|of shape)"):
+    with pytest.raises(ValueError, match=r"pending field '[vF]' (returned|must return shape)"):
         body["v"]
     assert "v" not in body.present()
 
@@ -439,11 +439,11 @@ def test_wrong_names_and_others():
             body.defer([name], dict)
     with pytest.raises(KeyError, match="no field 'w' to be deferred"):
         body.defer(["v", "w"], dict)
-    with pytest.raises(ValueError, match="arrays of the same number of points are needed for"):
+    with pytest.raises(ValueError, match="others must have arrays of one number of points for"):
         body.defer(["v"], dict, others={"mass": np.zeros(3)})
     present = body.present()
     present.pop("v")
-    with pytest.raises(ValueError, match="arrays of the same number of points are needed for"):
+    with pytest.raises(ValueError, match="others must have arrays of one number of points for"):
         body.defer(["v"], dict, others={**present, "mass": np.zeros(3)})
     assert set(body.present()) == BUILT_IN | {"v", "F", "mass"}
 

@@ -209,14 +209,18 @@ def test_wrong_input_on_one_rank_raises_on_all():
         ({"x": nan}, {"x": x}, "positions must be finite: 1 of 5 are not, first point 3"),
         ({"weight": weight}, {"weight": ones}, "2 of 5 are not, first -0.5 at point 2"),
         ({"weight": 0.0}, {"weight": 1.0}, "5 of 5 are not, first 0.0 at point 0"),
-        ({"weight": np.ones(4)}, {"weight": ones}, r"weight of shape \(4,\) for 5 points"),
+        ({"weight": np.ones(4)}, {"weight": ones}, r"weight of shape \(4,\) does not fit 5 points"),
         ({"x": np.zeros((5, 3))}, {"x": x}, r"shape \(n, 2\), not \(5, 3\)"),
         ({"x": ["a"]}, {"x": x}, "must be numbers"),
         ({"tag": [1, 2]}, {}, "tag of shape"),
         ({"cells": np.full(5, 10**6)}, {}, "5 are not, first 1000000 at point 0"),
-        ({"fields": {"a": np.zeros(4)}}, {"fields": {"a": ones}}, "the point index"),
+        (
+            {"fields": {"a": np.zeros(4)}},
+            {"fields": {"a": ones}},
+            "the first index must be the point",
+        ),
         ({"fields": {"x": ones}}, {"fields": {"a": ones}}, "'x' cannot be the name"),
-        ({"xi": x}, {}, "need the cells"),
+        ({"xi": x}, {}, "xi needs cells"),
         ({"xi": x, "cells": np.zeros(5)}, {}, "do not give the positions"),
     ):
         arguments = {"x": x, "weight": 1.0} | (bad if last else good)
@@ -255,7 +259,7 @@ def test_unsupported_meshes():
         with pytest.raises(ValueError, match="a mesh of unsupported cells") as error:
             MaterialPoints(mesh, np.zeros((1, d)), 1.0)
         # what Gmsh's meshes of the plane become unless one says otherwise
-        assert ("give gdim=2" in str(error.value)) == (name == "surface")
+        assert ("pass gdim=2" in str(error.value)) == (name == "surface")
 
 
 def test_what_one_rank_reads():
@@ -311,7 +315,7 @@ def test_add_select_remove_and_copy():
     x = cloud(90, 2)
     a = MaterialPoints(mesh, x[:50][WORLD.rank :: WORLD.size], 1.0, tag=1)
     b = MaterialPoints(mesh, x[50:][WORLD.rank :: WORLD.size], 2.0, tag=2)
-    with pytest.raises(ValueError, match="the fields must be the same"):
+    with pytest.raises(ValueError, match="add the missing fields first"):
         a.add_field("v", (2,), a.x)
         a.add(b)
     b.add_field("v", (2,), b.x)
@@ -357,7 +361,7 @@ def test_add_select_remove_and_copy():
         a.remove(np.ones(len(a) + 1, dtype=bool))
     with pytest.raises(ValueError, match="indices of points"):
         a.select([len(a)])
-    with pytest.raises(ValueError, match="neither mask nor indices"):
+    with pytest.raises(ValueError, match="by a mask or by indices"):
         a.select([0.5])
 
 

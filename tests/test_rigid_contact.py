@@ -271,7 +271,7 @@ def test_a_surface_in_space():
 
 def test_wrong_use():
     for rigid, message in (
-        ([RigidBody(shapes.Box((0, 0, 0), (1, 1, 1)), 0.1)], "3 dimensions, the mesh has 2"),
+        ([RigidBody(shapes.Box((0, 0, 0), (1, 1, 1)), 0.1)], "3 dimensions, but the mesh has 2"),
         ([RigidBody(shapes.Box((0, 0), (1, 0.1)), 0.1)] * 2, "given twice"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -116,7 +116,7 @@ def test_wrong_rigid_walls():
     free = RigidBody(shape, 0.1, inertia=inertia_of(shape, 1.0))
     with pytest.raises(ValueError, match="is free: implicit steps"):
         pressed(free)
-    with pytest.raises(ValueError, match="3 dimensions, the mesh has 2"):
+    with pytest.raises(ValueError, match="3 dimensions, but the mesh has 2"):
         pressed(RigidBody(shapes.Box((0, 0, 0), (1, 1, 1)), 0.1))
     with pytest.raises(ValueError, match="finite and not negative: inf"):
         pressed(RigidBody(shape, 0.1, friction=np.inf))

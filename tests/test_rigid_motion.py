@@ -176,7 +176,7 @@ BOX = shapes.Box((0, 0), (1, 1))
 @pytest.mark.parametrize(
     "make, message",
     [
-        (lambda: shapes.Box((1, 0), (0, 1)), "wrong order"),
+        (lambda: shapes.Box((1, 0), (0, 1)), "lower below upper"),
         (lambda: shapes.Box((0,), (1,)), "2 or 3 numbers"),
         (lambda: RigidBody(BOX, 0.0), "positive reach"),
         (lambda: RigidBody(BOX, 0.1, friction=-1.0), "no negative friction"),

@@ -212,8 +212,11 @@ def test_numbers_of_points():
     here = WORLD.rank == WORLD.size - 1
     for wrong, message in (
         (np.where(here & (np.arange(n) == 0), 50, number + 10**15), None),
-        (np.where(here & (np.arange(n) == 0), -1, number), "start from 0, but there is -1"),
-        (number // 20, "distinct, but several have"),
+        (
+            np.where(here & (np.arange(n) == 0), -1, number),
+            "must not be negative, but the lowest is -1",
+        ),
+        (number // 20, "distinct, but several points have"),
         (number[:1], "number of shape"),
     ):
         if message is None:
@@ -391,13 +394,13 @@ def test_invalid_arguments():
         (lambda: quadrature(mesh, -1), "degree"),
         (lambda: quadrature(mesh, 1, cells=[10**6]), "cells to fill"),
         (lambda: quadrature(mesh, 1, inside=lambda x: x[0]), "must return a mask"),
-        (lambda: fill(mesh, 0), "1 or more parts"),
-        (lambda: random(mesh, 0, seed=1), "1 or more random points"),
+        (lambda: fill(mesh, 0), "per_side must be at least 1"),
+        (lambda: random(mesh, 0, seed=1), "per_cell must be at least 1"),
         (lambda: lattice(mesh, 0.0), "spacing"),
         (lambda: lattice(mesh, np.nan), "spacing"),
-        (lambda: on_facets(mesh, [10**6]), "no such facets"),
-        (lambda: on_curve(mesh, (0, 0), (0, 0), 0.1), "length 0"),
-        (lambda: on_curve(mesh, (0, 0), (1, 0), -0.1), "spacing of -0.1"),
+        (lambda: on_facets(mesh, [10**6]), "must be local indices from 0"),
+        (lambda: on_curve(mesh, (0, 0), (0, 0), 0.1), "positive length"),
+        (lambda: on_curve(mesh, (0, 0), (1, 0), -0.1), "positive spacing, not 1.0 and -0.1"),
         (lambda: on_curve(mesh, (0, 0, 0), (1, 0, 0), 0.1), "2 coordinates"),
     ):
         with pytest.raises(ValueError, match=message):

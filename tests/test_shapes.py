@@ -76,7 +76,7 @@ def test_polygon_with_holes():
         ([(0, 0), (1, 1), (1, 0), (0, 1)], [], "crosses itself: side 0 from .* side 2"),
         ([(0, 0), (2, 0), (1, 0), (1, 1)], [], "crosses itself"),
         ([(0, 0), (1, 0), (2, 0)], [], "crosses itself"),
-        ([(0, 0), (1, 0), (1, 0), (0, 1)], [], "side 1 of the polygon, at .* no normal"),
+        ([(0, 0), (1, 0), (1, 0), (0, 1)], [], "side 1 of the polygon, at .* no length"),
         ([(0, 0), (1, 0)], [], "at least 3 vertices, not 2"),
         ([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [], r"shape \(n, 2\), not \(3, 3\)"),
         ([(0, 0), (np.nan, 0), (1, 1)], [], "must be finite"),
@@ -147,7 +147,7 @@ def test_scaling_turning_moving():
     assert "Solid of 192 triangles: volume" in repr(moved)
     for bad, match in [
         ({"scale": 0}, "positive, not 0"),
-        ({"rotation": np.diag([1, 1, -1])}, "not a rotation"),
+        ({"rotation": np.diag([1, 1, -1])}, "needs an orthogonal matrix"),
         ({"translation": (1, 2)}, "3 components"),
     ]:
         with pytest.raises(ValueError, match=match):
@@ -192,9 +192,9 @@ def twice(x, t, shift):
         (*flipped(*cube()), "not oriented alike: .* 3 of 18 edges"),
         (*twice(*cube(4), 0.3), "crosses or covers itself"),
         (*twice(*cube(), 0.0), "crosses or covers itself"),
-        ([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 1)], [(0, 1, 2), (2, 1, 0)], "no normal"),
-        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2), (2, 1, 0)], "encloses nothing"),
-        ([(0, 0, 0)], np.zeros((0, 3), dtype=int), "without triangles"),
+        ([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 1)], [(0, 1, 2), (2, 1, 0)], "without area"),
+        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2), (2, 1, 0)], "must enclose a volume"),
+        ([(0, 0, 0)], np.zeros((0, 3), dtype=int), "needs triangles"),
         ([(0, 0, 0)], [(0, 1, 2)], "must be 0 to 0, not 0 to 2"),
         ([(0, 0)], [(0, 1, 2)], r"shape \(m, 3\), not \(1, 2\)"),
         ([(0, 0, 0)], [(0.0, 1, 2)], "integers"),
@@ -284,11 +284,11 @@ def test_contour_cut_off_at_the_edge_of_the_image():
     "make, match",
     [
         (lambda: mask(np.ones((2, 2))), "bool values .* not float64"),
-        (lambda: mask(np.ones(4, dtype=bool)), r"not bool of the shape \(4,\)"),
-        (lambda: mask(np.zeros((2, 2), dtype=bool)), "false everywhere"),
+        (lambda: mask(np.ones(4, dtype=bool)), r"not bool of shape \(4,\)"),
+        (lambda: mask(np.zeros((2, 2), dtype=bool)), "must be true somewhere"),
         (lambda: mask(np.ones((2, 2), dtype=bool), 0.0), "positive, not 0.0"),
         (lambda: mask(np.ones((2, 2), dtype=bool), (1, 1, 1)), "1 or 2 numbers"),
-        (lambda: contour(np.eye(3), 2.0), "level 2.0 must be between .* 0.0 to 1.0"),
+        (lambda: contour(np.eye(3), 2.0), "level 2.0 must lie between .* 0.0 to 1.0"),
         (lambda: contour(np.full((3, 3), np.nan), 0.5), "finite"),
         (lambda: contour(np.ones(4), 0.5), r"not \(4,\)"),
     ],

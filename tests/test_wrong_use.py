@@ -71,7 +71,7 @@ def test_stresses_of_another_time_than_their_state(material):
     scheme = formulations.GeneralizedAlpha(z, dt=0.1)
     stress = formulations.EnergyMomentum(MATERIALS[material], body, z)
     R = stress.power() + scheme.inertia(body)
-    with pytest.raises(ValueError, match="GeneralizedAlpha cannot be used with it"):
+    with pytest.raises(ValueError, match="GeneralizedAlpha cannot be used with a stress"):
         ImplicitMPM(R, z, scheme, body)
 
 

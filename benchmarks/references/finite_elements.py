@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Finite element references for three dynamic examples of an incompressible neo-Hookean solid.
 
-Total Lagrangian Taylor-Hood P2-P1 elements by plain dolfinx, with the energy
+They use total Lagrangian Taylor-Hood P2-P1 elements by plain dolfinx, with the energy
 ``mu/2 (J^(-2/3) I1 - 3) + p (J - 1)`` and Bossak's scheme: inertia at ``n + 1 - alpha``, everything
 else at ``n + 1``. With the constraint J = 1 imposed at ``n + 1``, Newmark's scheme without
 dissipation is only weakly stable: pressure and energy grow.
 
 - ``cook``: Cook's membrane, plane strain, under a suddenly applied dead load;
-- ``beam``: a column clamped at its base starts with a velocity sideways that is linear in height;
+- ``beam``: a column clamped at its base starts with a sideways velocity that is linear in height;
 - ``twist``: the same column starts twisting.
 
-Each run writes the displacement of one corner to a table ``.csv`` in the directory of this script.
-It uses one core. A step in which Newton's method fails is taken in two halves.
+Each run writes the displacement of one corner to a ``.csv`` table in the directory of this script.
+It uses one core. A step in which Newton's method fails is divided into two halves.
 """
 
 import argparse
@@ -38,9 +38,9 @@ GAMMA = 1 / 2 - ALPHA
 BETA = (1 - ALPHA) ** 2 / 4
 
 MAX_ITERATIONS = 20
-TOLERANCE = 1e-6  # residual of Newton's method, by that of its first guess
-REUSE = 0.1  # of a residual: if the next one is below, the factors of the tangent are used again
-SMALLEST = 2**-8  # of the time step, by halving
+TOLERANCE = 1e-6  # residual of Newton's method relative to that of its first guess
+REUSE = 0.1  # residual reduction below which the factors of the tangent are used again
+SMALLEST = 2**-8  # smallest fraction of the time step, by halving
 
 
 def membrane(n):
@@ -68,10 +68,10 @@ def twisting(x):
 class Example:
     title: str
     mesh: Callable
-    n: int  # boxes or squares on a short side
+    n: int  # boxes or squares along a short side
     cells: str
     clamped: Callable
-    corner: tuple  # m, whose displacement is written
+    corner: tuple  # m, where the displacement is recorded
     young: float  # Pa
     density: float  # kg/m^3
     dt: float  # s
@@ -79,7 +79,7 @@ class Example:
     file: str
     traction: tuple | None = None  # Pa, per reference area
     loaded: Callable | None = None
-    velocity: Callable | None = None  # m/s, at the start
+    velocity: Callable | None = None  # m/s, initial
 
 
 EXAMPLES = {
@@ -130,14 +130,14 @@ EXAMPLES = {
 
 
 class NotConverged(RuntimeError):
-    """A step that Newton's method or the linear solver failed in."""
+    """Error for a step in which Newton's method or the linear solver failed."""
 
 
 class Dynamics:
-    """An example on a mesh: its state and the step to the next one.
+    """An example on a mesh: its state, and the step to the next one.
 
-    Displacement, velocity and acceleration are functions of one mixed space. The second part of the
-    displacement's is the pressure over the shear modulus; that of the others is zero.
+    Displacement, velocity and acceleration are functions of one mixed space. Their second part is
+    the pressure over the shear modulus for the displacement, and zero for the others.
     """
 
     def __init__(self, example, n):
@@ -191,7 +191,7 @@ class Dynamics:
             ds = ufl.Measure("ds", domain=domain, subdomain_data=tags)
             load = ufl.inner(ufl.as_vector(example.traction), w) * ds(1)
 
-        # Pressure and constraint are scaled by mu: the residual's parts have like sizes.
+        # Pressure and constraint are scaled by mu, so the parts of the residual have similar sizes.
         residual = rho * ufl.inner((1 - ALPHA) * a + ALPHA * a0, w) * dx - load
         residual += ufl.derivative((elastic + mu * p * (J - 1)) * dx, self.U)
         self.residual = fem.form(residual)
@@ -210,7 +210,7 @@ class Dynamics:
         self.momentum = fem.form(ufl.inner(v0, w) * dx)
 
     def _initial_state(self, example, W_u):
-        """Velocity without divergence, then the acceleration and pressure that go with it."""
+        """Set a velocity without divergence, then the matching acceleration and pressure."""
         self._factor(self.saddle)
         if example.velocity is not None:
             v0 = fem.Function(W_u)
@@ -246,7 +246,7 @@ class Dynamics:
         return right, np.linalg.norm(right)
 
     def step(self, dt):
-        """The next state; if Newton's method fails, NotConverged with the old state in place."""
+        """Compute the next state; after a failure, raise NotConverged and keep the old one."""
         self.dt.value = dt
         u, old, v, a = (f.x.array for f in (self.U, self.old, self.velocity, self.acceleration))
         u[:] = old + dt * v
@@ -271,14 +271,14 @@ class Dynamics:
         old[:] = u
 
     def advance(self, dt, whole):
-        """One step, or its halves; returns the number of steps taken."""
+        """Do one step, or its halves; return the number of steps taken."""
         try:
             self.step(dt)
             return 1
         except NotConverged as error:
             if dt / 2 < SMALLEST * whole:
                 raise
-            print(f"  step of {dt:.2e} s failed ({error}), taken in halves", flush=True)
+            print(f"  step of {dt:.2e} s failed ({error}), divided into halves", flush=True)
             return self.advance(dt / 2, whole) + self.advance(dt / 2, whole)
 
     @property

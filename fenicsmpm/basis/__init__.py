@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Grid functions seen from the material points."""
+"""Grid functions at material points: finite elements, splines, GIMP."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ _stencils: weakref.WeakKeyDictionary[MaterialPoints, PointStencil] = weakref.Wea
 
 
 def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = None) -> None:
-    """Choose the grid functions that points see, instead of the finite elements of the mesh.
+    """Choose the grid functions of points, instead of the finite elements of the mesh. Collective.
 
-    Functions of Lagrange spaces of degree 1 are then taken to be sums of these functions, in forms
-    and expressions over the points, and in what is summed to the grid. Each point set of a problem
-    is to use the same, or uGIMP with a size of its own. Copies and selections take the choice
-    along. Collective.
+    The new functions replace those of Lagrange spaces of degree 1 wherever points are involved: in
+    forms and expressions over the points, and in sums on the grid. All point sets of a problem must
+    use the same functions; only the sizes of uGIMP points may differ. Copies and selections of
+    points keep the choice.
 
     Args:
-        points: the point set, on a mesh of equal axis-parallel boxes that fill a box.
-        name: "linear" (those of the finite elements), "quadratic" or "cubic" (B-splines), or
-            "gimp" (uGIMP), or "cpgimp", whose points stretch with their field "F" along the axes
-            (S. Bardenhagen, E. Kober, CMES 5, 2004), up to the size of a cell.
-        half_size: half of the initial size of a point in m, ``(d,)`` or one number; for the last
-            two.
+        points: The point set, on a mesh of equal axis-parallel boxes that fill a box.
+        name: One of "linear" (those of the finite elements), "quadratic" or "cubic" (B-splines),
+            "gimp" (uGIMP) or "cpgimp". Domains of cpGIMP points stretch along the axes with the
+            field "F", up to the size of a cell (S. Bardenhagen, E. Kober, CMES 5, 2004).
+        half_size: Half of the initial size of a point in m, shape ``(d,)`` or one number; for
+            "gimp" and "cpgimp" only.
 
     Raises:
-        ValueError: on all ranks, for points that are in use already, meshes that are no lattices,
+        ValueError: On all ranks, for points that are in use already, meshes that are no lattices,
             and sizes that are not positive or larger than half a cell. The first form over the
-            points, or sum on the grid, raises one if ranks do not see enough of the mesh for it
-            (see ``shared_vertex_partitioner``); explicit steps need none.
+            points, or the first sum on the grid, raises it if ranks do not have the ghost cells
+            that it needs (see ``shared_vertex_partitioner``). Explicit steps need none.
     """
     if points in _stencils:
         raise ValueError(
@@ -62,12 +62,26 @@ def use(points: MaterialPoints, name: str, half_size: npt.ArrayLike | None = Non
 
 
 def functions_of(points: MaterialPoints) -> str:
-    """Name of the grid functions that points see: "linear" without ``use``."""
+    """Return the name of the grid functions of points: "linear" without ``use``.
+
+    Args:
+        points: The point set.
+
+    Returns:
+        One of the names that ``use`` takes.
+    """
     return "linear" if points.grid_functions is None else points.grid_functions[0]
 
 
 def stencil_of(points: MaterialPoints) -> PointStencil:
-    """The stencil of a point set, made at first use; see ``use``."""
+    """Return the stencil of a point set, made at first use; see ``use``.
+
+    Args:
+        points: The point set.
+
+    Returns:
+        The stencil.
+    """
     if points not in _stencils:
         if points.grid_functions is None:
             _stencils[points] = LagrangeStencil(points)

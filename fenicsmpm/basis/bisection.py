@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Cells shared out among ranks by the points in them: recursive bisection along coordinates.
+"""Distribution of cells among ranks by their points: recursive coordinate bisection.
 
-The partitioners that dolfinx calls take no weights of cells, and PETSc's pass none on to Python.
+The partitioners that dolfinx calls take no cell weights, and PETSc's pass none on to Python.
 """
 
 from __future__ import annotations
@@ -11,37 +11,37 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-# All cells together count as a twentieth of all points: empty ones cost, too, and ranks differ by
-# no more than that in their points
+# All cells together count as a twentieth of all points: empty cells cost, too. Numbers of points
+# per rank differ by no more than that.
 _POINTS_PER_LOAD_OF_CELLS = 20
-# Cells at the same place along an axis are told apart by the next axis
+# Cells at the same place along an axis are ordered by the next axis.
 _TILT = 1e-4
-# The interval of a cut is halved down to round-off
+# The interval of a cut is halved down to round-off.
 _HALVINGS = 54
 
 
 def bisect(
     comm: MPI.Intracomm, middle: npt.NDArray[np.float64], points: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int32]:
-    """Share out cells such that each rank has about as many points (collective).
+    """Distribute cells such that each rank has about as many points. Collective.
 
-    The ranks are halved, and the cells by a cut across the longest side of the box of those that
-    hold points, and so on. Loads are integers, so that the result does not depend on which rank
-    passes which cells; ranks exchange sums only.
+    The ranks are halved, and so are the cells, by a cut across the longest side of the box around
+    those with points; then the halves are halved, and so on. Loads are integers, so the result does
+    not depend on which rank passes which cells. Ranks exchange sums only.
 
     Args:
-        comm: ranks that get the cells.
-        middle: centres of this rank's cells, ``(n, d)`` [m].
-        points: how many are in each, ``(n,)``.
+        comm: Communicator of the ranks that get the cells.
+        middle: Centres of this rank's cells in m, shape ``(n, d)``.
+        points: Number of points in each cell, shape ``(n,)``.
 
     Returns:
-        Rank of each cell, ``(n,)``. Where few cells hold all points, some ranks may get none.
+        Rank of each cell, shape ``(n,)``. If few cells hold all points, some ranks may get none.
     """
     cells, total = comm.allreduce(len(points)), comm.allreduce(int(points.sum()))
     load = points * (_POINTS_PER_LOAD_OF_CELLS * cells) + max(total, 1)
     place = _places(comm, middle)
     holds = points > 0
-    # groups of cells for ranks from `first` on, `count` of them
+    # groups of cells for `count` ranks starting with `first`
     group = np.zeros(len(points), dtype=np.int64)
     first, count = np.array([0]), np.array([comm.size])
     while count.max() > 1:
@@ -57,7 +57,7 @@ def bisect(
 
 
 def _places(comm: MPI.Intracomm, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Places along each axis, between 0 and 1 but for the tilt, ``(n, d)``."""
+    """Return positions along each axis, from 0 to 1 apart from the tilt, shape ``(n, d)``."""
     lower, upper = _boxes(comm, x, np.zeros(len(x), dtype=np.int64), 1)
     size = upper - lower
     place = (x - lower) / np.where(size > 0, size, 1.0)
@@ -70,7 +70,7 @@ def _places(comm: MPI.Intracomm, x: npt.NDArray[np.float64]) -> npt.NDArray[np.f
 def _boxes(
     comm: MPI.Intracomm, x: npt.NDArray[np.float64], group: npt.NDArray[np.int64], n: int
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Lowest and highest coordinates of n groups on all ranks, each ``(n, d)``."""
+    """Return lowest and highest coordinates of n groups on all ranks, each ``(n, d)``."""
     lower, upper = np.full((n, x.shape[1]), np.inf), np.full((n, x.shape[1]), -np.inf)
     np.minimum.at(lower, group, x)
     np.maximum.at(upper, group, x)
@@ -82,10 +82,10 @@ def _boxes(
 def _longest_side(
     comm: MPI.Intracomm, x: npt.NDArray[np.float64], group: npt.NDArray[np.int64], n: int
 ) -> npt.NDArray[np.int64]:
-    """The axis along which each group is longest, ``(n,)``; of equal ones, the first."""
+    """Return the longest axis of each group, ``(n,)``; of equal ones, the first."""
     lower, upper = _boxes(comm, x, group, n)
     side = upper - lower
-    # but for round-off, in which equal sides differ
+    # ignore round-off, in which equal sides differ
     return np.argmax(side > (1 - 1e-9) * side.max(axis=1, keepdims=True), axis=1)
 
 
@@ -97,7 +97,7 @@ def _cuts(
     low: npt.NDArray[np.int64],
     count: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.float64]:
-    """Where each group is to be cut, ``(n_groups,)``: its first `low` ranks get what is below."""
+    """Return the cut of each group, ``(n_groups,)``: its first `low` ranks get what is below."""
 
     def below(cut: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         result = np.zeros(len(count), dtype=np.int64)
@@ -112,5 +112,5 @@ def _cuts(
         middle = (before + behind) / 2
         less = below(middle) < wanted
         before[less], behind[~less] = middle[less], middle[~less]
-    # the cell between them goes to the side that it makes less uneven
+    # the cell between both parts goes to the side where it causes less imbalance
     return np.where(wanted - below(before) < below(behind) - wanted, before, behind)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Grid functions at blocks of eight points, for the kernels of explicit steps (numba).
 
-What belongs to the points of a block stands side by side: arrays over points have the shape
-``(n_blocks * components, 8)``, so that formulas act on rows, eight points at once. What fills up
-the last block of a tile are copies of a point, without mass and volume.
+Data of the points of a block are contiguous: arrays over points have the shape
+``(n_blocks * components, 8)``, so that formulas act on rows, eight points at once. The last block
+of a tile is filled up with copies of a point that have no mass and no volume.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -37,16 +37,16 @@ from fenicsmpm.basis.windows import ON_WALL, window
 from fenicsmpm.lanes import LANES, between, load, store, store_integers, zeros
 
 OPTIONS: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
-# Calls in the loops over points would cost more than what they do, and so would counting references
-# to arrays: what is inlined does not. It need not be kept on disk for itself. Nor is it called from
-# Python: the code that takes all arrays of a body apart would take a fifth of the compilation.
+# Calls in the loops over points would cost more than their work, and so would reference counts of
+# arrays: inlining avoids both. These functions need no cache of their own on disk. Nor are they
+# called from Python: code that unpacks all arrays of a body would take a fifth of the compilation.
 INNER: dict[str, Any] = {**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 inline = numba.njit(forceinline=True, _nrt=False, **INNER)
 
 
 @njit
 def plain_order(n):
-    """Order of points, one after the other, in blocks; copies of the last one fill them up."""
+    """Return the order of points in blocks, one after the other, filled up with the last one."""
     order = np.empty((n + LANES - 1) // LANES * LANES, np.int32)
     for i in range(len(order)):
         order[i] = i if i < n else -n
@@ -78,12 +78,12 @@ def _from_blocks(rows, order, flat):
 def in_blocks(
     values: npt.NDArray[np.float64], order: npt.NDArray[np.int32], copied: bool = True
 ) -> npt.NDArray[np.float64]:
-    """Array ``(n, ...)`` over points as one of blocks, ``(n_blocks * components, 8)``.
+    """Convert an array ``(n, ...)`` over points to blocks, ``(n_blocks * components, 8)``.
 
     Args:
-        values: at the points.
-        order: ``(8 n_blocks,)`` points of the blocks, ``-1 - p`` for a copy of p.
-        copied: copies have the values of their point; if not, zero.
+        values: Values at the points.
+        order: Points of the blocks, ``-1 - p`` for a copy of p, shape ``(8 n_blocks,)``.
+        copied: Whether copies have the values of their point; otherwise they are zero.
     """
     components = math.prod(values.shape[1:])
     rows = empty_rows(len(order) // LANES * components, LANES)
@@ -98,14 +98,14 @@ def out_of_blocks(
     n: int,
     shape: tuple[int, ...] = (),
 ) -> npt.NDArray[np.float64]:
-    """Values ``(n, *shape)`` at points from an array of blocks, see ``in_blocks``."""
+    """Convert an array of blocks to values ``(n, *shape)`` at points, see ``in_blocks``."""
     flat = np.empty((n, math.prod(shape)))
     _from_blocks(rows, order, flat)
     return flat.reshape(n, *shape)
 
 
 def empty_rows(n: int, lanes: int) -> npt.NDArray[np.float64]:
-    """``(n, lanes)`` without values, each row or line within a cache line."""
+    """Return an uninitialized array ``(n, lanes)`` whose rows do not cross cache lines."""
     memory = np.empty(n * lanes + LANES)
     skip = (-memory.ctypes.data // memory.itemsize) % LANES
     return memory[skip : skip + n * lanes].reshape(n, lanes)
@@ -113,25 +113,25 @@ def empty_rows(n: int, lanes: int) -> npt.NDArray[np.float64]:
 
 @functools.cache
 def stencils(dim: int, kind: int, in_window: bool, with_slopes: bool = True) -> Any:
-    """Compile the numba function that finds grid functions at a block of points.
+    """Compile the numba function that evaluates grid functions at a block of points.
 
-    Its arguments are positions ``(n_blocks * d, 8)``, the number of the block, the nodes
-    (``tiles.Nodes``), the points' half size in cells, the first node ``(3,)`` of a window, and
+    Its arguments are the positions ``(n_blocks * d, 8)``, the number of the block, the nodes
+    (``tiles.Nodes``), the points' half size in cells, the first node ``(3,)`` of a window, and the
     results: each point's first node in the window in each direction ``(3, 8)``, its place there
-    ``(8,)``, values and slopes ``(3 * width, 8)``, row ``k * width + a`` for the a-th node in
-    direction k.
+    ``(8,)``, and values and slopes ``(3 * width, 8)`` with row ``k * width + a`` for the a-th node
+    in direction k.
 
     Args:
-        dim: 2 or 3.
-        kind: of grid functions.
-        in_window: if not, places are numbers of nodes in the lattice, the last direction fastest.
-        with_slopes: if not, only values are found.
+        dim: Dimension, 2 or 3.
+        kind: Kind of the grid functions.
+        in_window: False for places in the lattice, numbered with the last direction fastest.
+        with_slopes: False for values only.
     """
     width = WIDTH[kind]
     inside, anywhere = _functions(kind)
     shape = window(dim, width)
     steps = (shape.far, shape.near, 1)
-    # all functions are linear near a wall
+    # all kinds of functions are linear near a wall
     at_first = (1.0 - LEAST, LEAST, *[0.0] * (width - 2))
     at_last = (*[0.0] * (width - 2), LEAST, 1.0 - LEAST)
 
@@ -146,7 +146,7 @@ def stencils(dim: int, kind: int, in_window: bool, with_slopes: bool = True) -> 
 
     @inline
     def at_wall(t, cells, half):
-        """As ``anywhere``; on a wall, values are exact but for ``LEAST``."""
+        """As ``anywhere``; on a wall, values are exact apart from ``LEAST``."""
         first, values, slopes = anywhere(min(max(t, 0.0), float(cells)), cells, half)
         if t < ON_WALL:
             return first, at_first, slopes
@@ -188,10 +188,10 @@ def stencils(dim: int, kind: int, in_window: bool, with_slopes: bool = True) -> 
 
 @functools.cache
 def _functions(kind: int) -> Any:
-    """Functions of a kind in one direction for eight points away from walls, and for one anywhere.
+    """Return functions of a kind in one direction, for eight points away from walls and anywhere.
 
-    Both give the first node, values and slopes of functions; the first one in addition whether all
-    points are away from walls.
+    Both return the first node, values and slopes. The first one also returns whether all points are
+    away from walls.
     """
     if kind == LINEAR:
 
@@ -219,7 +219,7 @@ def _functions(kind: int) -> Any:
         def anywhere(t, cells, half):
             c = min(int(t), cells - 1)
             values, slopes, _ = cubic(t - c, c == 0, c == cells - 1)
-            # a node beyond a wall has no share: the four nodes that count are inside
+            # a node beyond a wall has value 0: the four nodes that count are inside
             if c == 0:
                 return 0, _up4(values), _up4(slopes)
             if c == cells - 1:

@@ -18,10 +18,13 @@ if TYPE_CHECKING:
 
 
 def is_linear(element: Any) -> bool:
-    """Whether a scalar or blocked UFL element is continuous Lagrange of degree 1.
+    """Return whether a scalar or blocked UFL element is continuous Lagrange of degree 1.
 
     Args:
         element: UFL element of a function space.
+
+    Returns:
+        True for P1 and Q1 elements, scalar or blocked.
     """
     scalar = getattr(element, "basix_element", None)
     if scalar is None or element.reference_value_size != element.block_size:
@@ -33,10 +36,10 @@ def is_linear(element: Any) -> bool:
 class LagrangeStencil:
     """Point stencil of the finite elements of the background mesh: a group is a cell.
 
-    Tables are kept until the points move, per element and order of derivatives.
+    Tables are kept for each element and order of derivatives until the points move.
 
     Args:
-        points: the point set, or another object with its mesh, geometry, cell, xi, order, version.
+        points: The point set, or another object with its mesh, geometry, cell, xi, order, version.
     """
 
     kind = "elements"
@@ -44,7 +47,7 @@ class LagrangeStencil:
 
     def __init__(self, points: Any) -> None:
         """Create an empty cache; nothing is tabulated yet."""
-        # A strong reference would keep the points alive as key of the stencil registry.
+        # The points are the key of the stencil registry: a strong reference would keep them alive.
         self._points: weakref.ref[MaterialPoints] = weakref.ref(points)
         self._geometry = points.geometry
         self._version = -1
@@ -53,24 +56,24 @@ class LagrangeStencil:
 
     @property
     def points(self) -> MaterialPoints:
-        """The point set."""
+        """Return the point set."""
         points = self._points()
         assert points is not None
         return points
 
     @property
     def order(self) -> npt.NDArray[np.int64]:
-        """``(n_points,)`` storage index of each point, in the order of cells."""
+        """Storage index of each point, in the order of cells, shape ``(n_points,)``."""
         return self.points.order
 
     @property
     def offsets(self) -> npt.NDArray[np.int64]:
-        """``(n_cells + 1,)`` range of the points of each local cell within ``order``."""
+        """Range of the points of each local cell within ``order``, shape ``(n_cells + 1,)``."""
         return self.points.cell_offsets
 
     @property
     def least(self) -> npt.NDArray[np.float64]:
-        """``(n_cells,)`` share of the largest function up to which others may be round-off."""
+        """Fraction of the largest function below which others may be round-off, ``(n_cells,)``."""
         return round_off(self._geometry)
 
     @property
@@ -80,27 +83,27 @@ class LagrangeStencil:
         return topology.index_map(topology.dim).size_local
 
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
-        """``(n_cells, n_nodes)`` cell dofmap of a function space (blocks)."""
+        """Return the cell dofmap of a function space (blocks), ``(n_cells, n_nodes)``."""
         return space.dofmap.list
 
     def n_functions(self, element: Any) -> int:
-        """Number of functions of a scalar element in a cell."""
+        """Return the number of functions of a scalar element in a cell."""
         return element.dim
 
     def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
-        """Cells with points, ascending; see ``PointStencil.seen_cells``."""
+        """Return the cells with points, ascending; see ``PointStencil.seen_cells``."""
         cells = self.points.cell
         return np.unique(cells if which is None else cells[which])
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
-        """Values and derivatives of a scalar element's functions at the points.
+        """Tabulate values and derivatives of a scalar element's functions at the points.
 
         Args:
-            element: scalar basix element with identity map.
-            derivatives: highest order of derivatives, 0 to 2.
+            element: Scalar basix element with identity map.
+            derivatives: Highest order of derivatives, 0 to 2.
 
         Returns:
-            ``(n_points, n_rows, n_nodes)``, see ``PointStencil.table``.
+            Table of shape ``(n_points, n_rows, n_nodes)``, see ``PointStencil.table``.
         """
         self._refresh()
         key = (hash(element), derivatives)
@@ -109,13 +112,13 @@ class LagrangeStencil:
         return self._tables[key]
 
     def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
-        """Values of the functions, of which those with a slope are not zero.
+        """Tabulate values of the functions, such that those with a slope are not zero.
 
         Args:
-            element: scalar basix element of degree 1 with identity map.
+            element: Scalar basix element of degree 1 with identity map.
 
         Returns:
-            ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
+            Table of shape ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
         """
         return np.maximum(self.table(element, 0)[:, 0], LEAST)
 
@@ -128,9 +131,9 @@ class LagrangeStencil:
         return self.points.cell[self.points.order]
 
     def _tabulate_reference(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
-        """``(n_derivatives, n_points, n_nodes)`` in basix' order of derivatives."""
+        """Return ``(n_derivatives, n_points, n_nodes)`` in basix' order of derivatives."""
         xi = self.points.xi[self.points.order]
-        if len(xi) == 0:  # basix wants a point
+        if len(xi) == 0:  # basix needs at least one point
             return element.tabulate(derivatives, np.zeros((1, xi.shape[1])))[:, :0, :, 0]
         return element.tabulate(derivatives, xi)[..., 0]
 
@@ -153,7 +156,7 @@ class LagrangeStencil:
         return table
 
     def _cell_gradients(self, element: Any) -> npt.NDArray[np.float64]:
-        """``(n_cells, d, n_nodes)`` gradients of linear functions in simplices."""
+        """Return gradients of linear functions in simplices, ``(n_cells, d, n_nodes)``."""
         key = hash(element)
         if key not in self._gradients:
             dim = self._geometry.dim
@@ -163,7 +166,7 @@ class LagrangeStencil:
         return self._gradients[key]
 
     def _map_curvature(self) -> npt.NDArray[np.float64]:
-        """``(n_points, d, d, d)`` second derivatives x_m,kl of the cell map; zero if affine."""
+        """Return second derivatives x_m,kl of the cell map, ``(n_points, d, d, d)``."""
         mesh = self.points.mesh
         element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
         directions = _second_derivatives(mesh.geometry.dim)
@@ -173,14 +176,14 @@ class LagrangeStencil:
 
 
 def _second_derivatives(dim: int) -> npt.NDArray[np.int64]:
-    """``(d, d)`` positions of the second derivatives in basix' tabulation."""
+    """Return the positions of the second derivatives in basix' tabulation, ``(d, d)``."""
     unit = np.eye(dim, dtype=int)
     return np.array([[basix.index(*(unit[k] + unit[m])) for m in range(dim)] for k in range(dim)])
 
 
 @njit
 def _push_forward_gradients(reference, inverse, table):  # type: ignore[no-untyped-def]
-    """dN/dx_j = dN/dxi_k K_kj into rows 1 ... d of the table."""
+    """Write dN/dx_j = dN/dxi_k K_kj into rows 1 ... d of the table."""
     dim, n_points, n_nodes = reference.shape
     for p in range(n_points):
         for j in range(dim):
@@ -193,9 +196,9 @@ def _push_forward_gradients(reference, inverse, table):  # type: ignore[no-untyp
 
 @njit
 def _push_forward_hessians(second, inverse, curvature, table):  # type: ignore[no-untyped-def]
-    """N_,ij = (N_,kl - N_,m x_m,kl) K_ki K_lj: chain rule with the curvature of the cell map.
+    """Write N_,ij = (N_,kl - N_,m x_m,kl) K_ki K_lj: chain rule with curvature of the cell map.
 
-    The rows of the physical gradient N_,m must be filled already.
+    The rows of the physical gradient N_,m must have been filled already.
     """
     dim, _, n_points, n_nodes = second.shape
     for p in range(n_points):

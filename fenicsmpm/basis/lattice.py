@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lattices: meshes of equal axis-parallel boxes that fill a box, and where their nodes are."""
+"""Lattices: meshes of equal axis-parallel boxes that fill a box."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class Lattice:
     """Numbers of the cells and nodes of a mesh along each direction.
 
     Attributes:
-        origin: ``(d,)`` lowest corner of the mesh, in m.
-        spacing: ``(d,)`` size of the cells, in m.
-        shape: ``(d,)`` number of cells of the whole mesh in each direction.
-        boxes: where this rank's cells are, for compiled loops.
-        geometry: shapes of the cells.
+        origin: Lowest corner of the mesh in m, shape ``(d,)``.
+        spacing: Size of the cells in m, shape ``(d,)``.
+        shape: Number of cells of the whole mesh in each direction, shape ``(d,)``.
+        boxes: Places of this rank's cells, for compiled loops.
+        geometry: Shapes of the cells.
     """
 
     def __init__(self, mesh: Mesh) -> None:
         """Check the lattice; no reference to the mesh is kept. Collective.
 
         Raises:
-            ValueError: on all ranks, says why the mesh is no lattice.
+            ValueError: On all ranks, if the mesh is no lattice; the message says why.
         """
         self.geometry = geometry = locator(mesh).geometry
         if geometry.boxes is None:
@@ -47,28 +47,28 @@ class Lattice:
             n = topology.index_map(dim).size_global
             if n != wanted:
                 raise ValueError(
-                    f"a mesh with {n} {what} where a box of {' x '.join(map(str, self.shape))} "
-                    f"cells has {wanted}: functions over several cells need a mesh without holes "
-                    "and cracks"
+                    f"a lattice of {' x '.join(map(str, self.shape))} cells has {wanted} {what}, "
+                    f"but this mesh has {n}: functions over several cells need a mesh without "
+                    "holes and cracks"
                 )
         self._dofmap = _compat.geometry_dofmap(mesh)
 
     def numbers(self, cells: npt.NDArray[np.int32]) -> _Indices:
-        """Numbers of local cells ``(n,)`` in each direction, from 0, ``(n, d)``."""
+        """Return numbers of local cells ``(n,)`` in each direction, from 0, ``(n, d)``."""
         return self.boxes.numbers(cells)
 
     def cells(self, index: _Indices) -> npt.NDArray[np.int32]:
-        """Local cells by numbers ``(..., d)``, -1 for not on this rank."""
+        """Return local cells by numbers ``(..., d)``, -1 if not on this rank."""
         return self.boxes.at(index)
 
     def nodes(
         self, index: _Indices, dofmap: npt.NDArray[np.int32] | None = None
     ) -> npt.NDArray[np.int32]:
-        """Local nodes by numbers ``(..., d)``, -1 for not on this rank.
+        """Return local nodes by numbers ``(..., d)``, -1 if not on this rank.
 
         Args:
-            index: numbers of the nodes in each direction.
-            dofmap: nodes of each cell in a linear space; None for those of the mesh's geometry.
+            index: Numbers of the nodes in each direction.
+            dofmap: Nodes of each cell in a linear space; None for those of the mesh's geometry.
         """
         dofmap = self._dofmap if dofmap is None else dofmap
         flat = index.reshape(-1, index.shape[-1])
@@ -94,10 +94,13 @@ _cache: weakref.WeakKeyDictionary[Mesh, Lattice] = weakref.WeakKeyDictionary()
 
 
 def lattice_of(mesh: Mesh) -> Lattice:
-    """The lattice of a mesh, found once unless the mesh was moved since. Collective.
+    """Return the lattice of a mesh, computed again only if the mesh has moved. Collective.
+
+    Args:
+        mesh: The background mesh.
 
     Raises:
-        ValueError: see ``Lattice``.
+        ValueError: On all ranks, if the mesh is no lattice, see ``Lattice``.
     """
     if mesh not in _cache or _cache[mesh].geometry is not locator(mesh).geometry:
         _cache[mesh] = Lattice(mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Linear functions, uGIMP and splines of the nodes of a lattice, seen from the points."""
+"""Linear functions, uGIMP and splines of the nodes of a lattice at material points."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ if TYPE_CHECKING:
 KINDS = {
     "linear": LINEAR, "quadratic": QUADRATIC, "cubic": CUBIC, "gimp": GIMP, "cpgimp": GIMP,
 }  # fmt: skip
-# Points that a thread does with one piece of work memory
+# Number of points that a thread treats with one piece of work memory
 _CHUNK = 1024
-# Groups whose nodes are looked for at a time
+# Number of groups whose nodes are searched at a time
 _BLOCK = 1 << 10
 
 
 class LatticeStencil:
-    """Point stencil of functions that are products of those in ``lines``, one a node of the mesh.
+    """Point stencil of products of the functions in ``lines``, one for each node of the mesh.
 
-    They stand for the functions of Lagrange spaces of degree 1. A group is a cell for linear and
-    cubic functions; for quadratic ones and uGIMP it is the box around a node, of the size of a
-    cell. Where the box of nodes that a group sees sticks out of the mesh, the nodes at the wall
-    are repeated with functions that are zero.
+    These functions replace those of Lagrange spaces of degree 1. A group is a cell for linear and
+    cubic functions. For quadratic functions and uGIMP it is a box around a node, of the size of a
+    cell. If the box of nodes that a group sees extends beyond the mesh, the nodes at the wall are
+    repeated with functions that are zero.
 
     Args:
-        points: the point set.
+        points: The point set.
         name: "linear", "quadratic", "cubic", "gimp" or "cpgimp".
-        half_size: half of the points' initial size in m, ``(d,)`` or one number, for the last two.
+        half_size: Half of the points' initial size in m, ``(d,)`` or one number, for the last two.
 
     Attributes:
-        kind: stencils of one kind on a mesh have the same groups.
-        groups_are_cells: whether groups are cells.
+        kind: Stencils of the same kind on a mesh have the same groups.
+        groups_are_cells: Whether groups are cells.
     """
 
     def __init__(self, points: Any, name: str, half_size: npt.ArrayLike | None = None) -> None:
         """Find the groups of the mesh and the nodes that they see. Collective.
 
         Raises:
-            ValueError: on all ranks, for meshes that are no lattices, sizes that are not positive
-                or larger than half a cell, and ranks that do not see all nodes that they need.
+            ValueError: On all ranks, for meshes that are no lattices, sizes that are not positive
+                or larger than half a cell, and ranks that lack ghost cells.
         """
         self._half = half_size_in_cells(points.mesh, name, half_size)
         self.name = name
         self._kind = KINDS[name]
-        # A strong reference would keep the points alive as key of the stencil registry.
+        # The points are the key of the stencil registry: a strong reference would keep them alive.
         self._points: weakref.ref[MaterialPoints] = weakref.ref(points)
         mesh = points.mesh
         self._lattice = lattice = lattice_of(mesh)
@@ -74,7 +74,7 @@ class LatticeStencil:
         self._element = basix.create_element(basix.ElementFamily.P, mesh.basix_cell(), 1)
         self._nodes = self._find_groups()
         raise_together(mesh.comm, self._unseen())
-        # by id; the space (which has no hash) is kept so that its id stays its own
+        # by id; the space (which has no hash) is stored so that its id stays valid
         self._dofs: dict[int, tuple[Any, npt.NDArray[np.int32]]] = {}
         self._version = -1
         self._order = self._offsets = np.empty(0, dtype=np.int64)
@@ -83,7 +83,7 @@ class LatticeStencil:
     # --- groups ------------------------------------------------------------------------------
 
     def _find_groups(self) -> npt.NDArray[np.int32]:
-        """``(n_groups, n_nodes)`` local nodes of the mesh that each group sees, -1 for not here."""
+        """Return local nodes that each group sees, -1 if not here, ``(n_groups, n_nodes)``."""
         lattice = self._lattice
         self._first = self._find_first()
         steps = np.array(list(itertools.product(range(self._width), repeat=self._dim)))
@@ -94,7 +94,7 @@ class LatticeStencil:
         return result
 
     def _find_first(self) -> npt.NDArray[np.int32]:
-        """``(n_groups, d)`` number of the lowest node that each group sees."""
+        """Return the number of the lowest node that each group sees, ``(n_groups, d)``."""
         lattice, dim = self._lattice, self._dim
         count = lattice.geometry.num_owned
         if self.groups_are_cells:
@@ -103,7 +103,7 @@ class LatticeStencil:
                 first[cells] = lattice.numbers(cells) - int(self._kind == CUBIC)
             return first
         ends = np.array(list(itertools.product((0, 1), repeat=dim)))
-        # groups around nodes, by their local numbers, which this rank's cells have in their corners
+        # groups are around nodes, by local numbers of the nodes of this rank's cells
         n = len(self.points.mesh.geometry.x)
         at_node, group = np.empty((n, dim), dtype=np.int32), np.full(n, -1, dtype=np.int32)
         self._group_of = np.empty((count, 2**dim), dtype=np.int32)
@@ -118,7 +118,7 @@ class LatticeStencil:
         return at_node[seen] - 1
 
     def _blocks(self) -> Iterator[slice]:
-        """All groups, some at a time."""
+        """Yield slices of all groups, some at a time."""
         for start in range(0, len(self._first), _BLOCK):
             yield slice(start, start + _BLOCK)
 
@@ -138,20 +138,20 @@ class LatticeStencil:
 
     @property
     def points(self) -> MaterialPoints:
-        """The point set."""
+        """Return the point set."""
         points = self._points()
         assert points is not None
         return points
 
     @property
     def order(self) -> npt.NDArray[np.int64]:
-        """``(n_points,)`` storage index of each point, in the order of groups."""
+        """Storage index of each point, in the order of groups, shape ``(n_points,)``."""
         self._refresh()
         return self._order
 
     @property
     def offsets(self) -> npt.NDArray[np.int64]:
-        """``(n_groups + 1,)`` range of the points of each group within ``order``."""
+        """Range of the points of each group within ``order``, shape ``(n_groups + 1,)``."""
         self._refresh()
         return self._offsets
 
@@ -162,7 +162,7 @@ class LatticeStencil:
 
     @property
     def least(self) -> npt.NDArray[np.float64]:
-        """``(n_groups,)`` share of the largest function up to which others may be round-off."""
+        """Fraction of the largest function below which others may be round-off, ``(n_groups,)``."""
         return np.full(len(self._nodes), round_off(self._lattice.geometry).max(initial=0.0))
 
     def _refresh(self) -> None:
@@ -179,16 +179,16 @@ class LatticeStencil:
         self._order, self._offsets = sort_by_number(group, len(self._nodes))
 
     def n_functions(self, element: Any) -> int:
-        """Number of functions that a group sees, whatever the scalar element."""
+        """Return the number of functions that a group sees, the same for all scalar elements."""
         return self._nodes.shape[1]
 
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
-        """``(n_groups, n)`` blocks of a function space seen by each group.
+        """Return blocks of a function space that each group sees, shape ``(n_groups, n)``.
 
-        In mixed spaces, those of one subspace come after those of the other.
+        In mixed spaces the blocks are ordered subspace by subspace.
 
         Raises:
-            ValueError: for spaces other than Lagrange of degree 1.
+            ValueError: For spaces other than Lagrange of degree 1.
         """
         if id(space) not in self._dofs:
             n, width = self._nodes.shape
@@ -198,7 +198,7 @@ class LatticeStencil:
         return self._dofs[id(space)][1]
 
     def _node_blocks(self, space: Any) -> list[npt.NDArray[np.int32]]:
-        """``(n_mesh_nodes, size)`` blocks of the nodes, for each subspace."""
+        """Return blocks of the nodes for each subspace, ``(n_mesh_nodes, size)``."""
         element = space.ufl_element()
         mixed = isinstance(element, basix.ufl._MixedElement)
         result = []
@@ -217,7 +217,9 @@ class LatticeStencil:
             of_nodes = np.zeros((len(self.points.mesh.geometry.x), size), dtype=np.int32)
             of_nodes[nodes] = of_cells
             if not np.array_equal(of_nodes[nodes], of_cells):
-                raise ValueError(f"{self.name} functions for a space with several functions a node")
+                raise ValueError(
+                    f"{self.name} functions need a space with one function per node and component"
+                )
             result.append(of_nodes)
             first += n
         return result
@@ -225,14 +227,14 @@ class LatticeStencil:
     # --- functions ---------------------------------------------------------------------------
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
-        """Values and derivatives of the functions at the points.
+        """Tabulate values and derivatives of the functions at the points.
 
         Args:
-            element: scalar element, whose functions these stand for.
-            derivatives: highest order of derivatives, 0 to 2.
+            element: Scalar element whose functions are replaced.
+            derivatives: Highest order of derivatives, 0 to 2.
 
         Returns:
-            ``(n_points, n_rows, n_nodes)``, see ``PointStencil.table``.
+            Table of shape ``(n_points, n_rows, n_nodes)``, see ``PointStencil.table``.
         """
         self._refresh()
         if derivatives not in self._tables:
@@ -254,7 +256,7 @@ class LatticeStencil:
         return table
 
     def _halves(self) -> npt.NDArray[np.float64]:
-        """``(n_points or 1, d)`` half sizes of the points now, in units of a cell."""
+        """Return current half sizes of the points in units of a cell, ``(n_points or 1, d)``."""
         half = self._half[None]
         points, dim = self.points, self._dim
         if self.name != "cpgimp" or "F" not in points:
@@ -266,19 +268,19 @@ class LatticeStencil:
         return np.minimum(half * stretch, 0.5)
 
     def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
-        """Values of the functions, of which those with a slope are not zero.
+        """Tabulate values of the functions, such that those with a slope are not zero.
 
         Args:
-            element: scalar element, whose functions these stand for.
+            element: Scalar element whose functions are replaced.
 
         Returns:
-            ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
+            Table of shape ``(n_points, n_nodes)``, see ``PointStencil.positive_table``.
         """
         self._refresh()
         return self._tabulate(0, LEAST)[:, 0]
 
     def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
-        """Cells all of whose nodes are seen, see ``PointStencil.seen_cells``."""
+        """Return cells all of whose nodes are seen, see ``PointStencil.seen_cells``."""
         values = self.table(self._element, 0)[:, 0, :]
         if which is not None:
             values = np.where(which[self._order, None], values, 0.0)
@@ -295,34 +297,35 @@ class LatticeStencil:
 def half_size_in_cells(
     mesh: Any, name: str, half_size: npt.ArrayLike | None
 ) -> npt.NDArray[np.float64]:
-    """Half of the points' size in units of a cell, ``(d,)``; one half where it is not needed.
+    """Return half of the points' size in units of a cell, ``(d,)``. Collective.
 
-    Collective.
+    Functions without a point size have one half.
 
     Args:
-        mesh: a lattice.
-        name: of the grid functions.
-        half_size: in m, ``(d,)`` or one number, for uGIMP and cpGIMP.
+        mesh: A lattice.
+        name: Name of the grid functions.
+        half_size: Half size in m, ``(d,)`` or one number, for uGIMP and cpGIMP.
 
     Raises:
-        ValueError: on all ranks, for unknown names, meshes that are no lattices, and sizes that
+        ValueError: On all ranks, for unknown names, meshes that are no lattices, and sizes that
             are not positive or larger than half a cell.
     """
     if name not in KINDS:
-        raise ValueError(f"no grid functions {name!r}: there are {', '.join(KINDS)}")
+        raise ValueError(f"unknown grid functions {name!r}: choose one of {', '.join(KINDS)}")
     spacing = lattice_of(mesh).spacing
     dim = len(spacing)
     if (half_size is not None) != (KINDS[name] == GIMP):
         raise ValueError(
-            "half_size is the size of points for 'gimp' and 'cpgimp', which need it, and for "
-            "nothing else: "
-            f"{name!r} with half_size={half_size!r}"
+            "'gimp' and 'cpgimp' need half_size, half of the size of a point; other functions do "
+            f"not take it: {name!r} with half_size={half_size!r}"
         )
     if half_size is None:
         return np.full(dim, 0.5)
     half = np.array(half_size, dtype=np.float64)
     if half.shape not in ((), (dim,)):
-        raise ValueError(f"half_size of shape {half.shape} in {dim} dimensions")
+        raise ValueError(
+            f"half_size must be one number or have the shape ({dim},), not {half.shape}"
+        )
     half = half / spacing
     if not np.all((half > 0) & (half <= 0.5 + 1e-9)):
         raise ValueError(
@@ -332,7 +335,7 @@ def half_size_in_cells(
 
 
 def _leaves(element: Any) -> list[Any]:
-    """Scalar and blocked elements of a mixed one, in the order of its degrees of freedom."""
+    """Return scalar and blocked elements of a mixed one, in the order of its dofs."""
     if isinstance(element, basix.ufl._MixedElement):
         return [leaf for sub in element.sub_elements for leaf in _leaves(sub)]
     return [element]
@@ -340,13 +343,13 @@ def _leaves(element: Any) -> list[Any]:
 
 @njit
 def _position(boxes, x, i, k):  # type: ignore[no-untyped-def]
-    """Position from 0 to 1 in cell i of direction k, of points that are in it up to round-off."""
+    """Return the position from 0 to 1 in cell i of direction k, without round-off outside."""
     return min(max((x - boxes.origin[k]) / boxes.spacing[k] - i, 0.0), 1.0)
 
 
 @njit(parallel=True)
 def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def]
-    """Group of each point from those of the quarters (eighths) of its cell."""
+    """Find the group of each point from those of the quarters (eighths) of its cell."""
     dim = x.shape[1]
     for p in numba.prange(len(x)):
         part = 0
@@ -362,10 +365,10 @@ def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def
 def _tabulate(  # type: ignore[no-untyped-def]
     kind, x, cell, order, boxes, half, width, rows, least, table
 ):
-    """Products of the functions along the lines into ``table (n_points, n_rows, n_nodes)``.
+    """Write products of the functions along lines into ``table (n_points, n_rows, n_nodes)``.
 
-    ``rows (n_rows, 3)`` are the orders of derivatives in each direction. Along a line, functions
-    with a slope have the least value if they are smaller and it is not zero.
+    ``rows (n_rows, 3)`` holds the orders of derivatives in each direction. Along a line, functions
+    with a slope that is not zero get at least the value ``least``.
     """
     n, dim = x.shape
     nz = width if dim == 3 else 1
@@ -380,7 +383,7 @@ def _tabulate(  # type: ignore[no-untyped-def]
                 t = _position(boxes, x[p, m], i, m)
                 tabulate_line(kind, i, t, boxes.shape[m], half[p % len(half), m], lines[m])
                 for a in range(width):
-                    if least > 0.0 and abs(lines[m, 1, a]) > 1e-6:  # no round-off
+                    if least > 0.0 and abs(lines[m, 1, a]) > 1e-6:  # a slope, not round-off
                         lines[m, 0, a] = max(lines[m, 0, a], least)
                     lines[m, 1, a] /= boxes.spacing[m]
                     lines[m, 2, a] /= boxes.spacing[m] * boxes.spacing[m]
@@ -400,7 +403,7 @@ def _tabulate(  # type: ignore[no-untyped-def]
 
 @njit
 def _mark_cells(values, offsets, corners, least, seen):  # type: ignore[no-untyped-def]
-    """Mark cells ``seen (n_groups, n_cells)`` all of whose corners are seen by a point."""
+    """Mark cells ``seen (n_groups, n_cells)`` all of whose corners some point sees."""
     for g in range(len(offsets) - 1):
         for k in range(offsets[g], offsets[g + 1]):
             for c in range(len(corners)):

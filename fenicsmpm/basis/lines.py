@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Functions on a line of nodes of distance one, from which those on lattices are products.
+"""Functions on a line of nodes of distance one, whose products are the functions on lattices.
 
-All come from one construction. The hat functions of the nodes are averaged around the point: over
-its own length for the generalized interpolation (uGIMP), over the distance of two nodes for the
-quadratic spline, which is uGIMP with points as large as cells, and over that twice for the cubic
-one. So all have the sum one, and reproduce linear functions, since averages with a symmetric
-weight do.
+All have the same construction: the hat functions of the nodes are averaged around the point. The
+generalized interpolation (uGIMP) averages over the length of the point. The quadratic spline
+averages over the distance of two nodes: it is uGIMP with points as large as cells. The cubic spline
+averages over that distance twice. As averages with a symmetric weight keep linear functions, all
+functions add up to one and reproduce linear functions.
 
-At a wall, grid functions are continued linearly beyond it: what would belong to a node -1 beyond
-node 0 goes to the nodes with ``u_-1 = 2 u_0 - u_1``. Both properties then hold up to the wall, and
-at the wall itself only its node counts, so Dirichlet conditions are as for finite elements. For the
-cubic spline these are the boundary functions of M. Steffen, R. M. Kirby, M. Berzins (Int. J. Numer.
-Meth. Engng 76, 2008); the quadratic one is linear within half a cell from the wall, as is uGIMP
-where a part of a point sticks out.
+At a wall, grid functions are continued linearly beyond it: the part of a node -1 beyond node 0 goes
+to the nodes inside by ``u_-1 = 2 u_0 - u_1``. Both properties then hold up to the wall. At the wall
+itself only its own node counts, so Dirichlet conditions work as for finite elements. For the cubic
+spline these are the boundary functions of M. Steffen, R. M. Kirby, M. Berzins (Int. J. Numer. Meth.
+Engng 76, 2008). The quadratic spline becomes linear within half a cell from the wall, as does uGIMP
+where a part of a point extends beyond the wall.
 
-Each function here returns values, first and second derivatives, each as a tuple of one number a
+Each function here returns values, first and second derivatives, each as a tuple of one number per
 node. They are for one point in one direction and meant to be called from compiled loops.
 """
 
@@ -22,7 +22,7 @@ node. They are for one point in one direction and meant to be called from compil
 
 from fenicsmpm._njit import njit
 
-# Kinds of functions, in an order in which compiled loops compare them
+# Kinds of functions, in the order in which compiled loops compare them
 LINEAR, QUADRATIC, CUBIC, GIMP = range(4)
 
 # Number of nodes that a point sees in each direction
@@ -31,16 +31,16 @@ WIDTH = {LINEAR: 2, QUADRATIC: 3, CUBIC: 4, GIMP: 3}
 
 @njit
 def linear(t):
-    """Hat functions of the nodes 0 and 1 at 0 <= t <= 1."""
+    """Return hat functions of the nodes 0 and 1 at 0 <= t <= 1."""
     return (1.0 - t, t), (-1.0, 1.0), (0.0, 0.0)
 
 
 @njit
 def quadratic_inside(s):
-    """Quadratic splines of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
+    """Return quadratic splines of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
 
     Args:
-        s: position relative to the nearest node.
+        s: Position relative to the nearest node.
     """
     a, b = 0.5 - s, 0.5 + s
     return (0.5 * a * a, 0.75 - s * s, 0.5 * b * b), (-a, -2.0 * s, b)
@@ -48,12 +48,12 @@ def quadratic_inside(s):
 
 @njit
 def quadratic(s, lower, upper):
-    """As ``quadratic_inside`` at any place.
+    """Return quadratic splines anywhere, see ``quadratic_inside``.
 
     Args:
-        s: position relative to the nearest node.
-        lower: whether node -1 is beyond a wall.
-        upper: whether node 1 is.
+        s: Position relative to the nearest node.
+        lower: Whether node -1 is beyond a wall.
+        upper: Whether node 1 is beyond a wall.
     """
     values, slopes = quadratic_inside(s)
     curvatures = (1.0, -2.0, 1.0)
@@ -66,7 +66,7 @@ def quadratic(s, lower, upper):
 
 @njit
 def cubic_inside(t):
-    """Cubic splines of the nodes -1, 0, 1, 2 at 0 <= t <= 1, away from walls."""
+    """Return cubic splines of the nodes -1, 0, 1, 2 at 0 <= t <= 1, away from walls."""
     r = 1.0 - t
     values = (
         r * r * r / 6.0,
@@ -80,7 +80,7 @@ def cubic_inside(t):
 
 @njit
 def cubic(t, lower, upper):
-    """As ``cubic_inside`` at any place; ``lower`` if node -1 is beyond a wall, ``upper`` if 2."""
+    """Return cubic splines anywhere: node -1 is beyond a wall if ``lower``, node 2 if ``upper``."""
     values, slopes = cubic_inside(t)
     r = 1.0 - t
     curvatures = (r, 3.0 * t - 2.0, 3.0 * r - 2.0, t)
@@ -93,29 +93,31 @@ def cubic(t, lower, upper):
 
 @njit
 def gimp_inside(s, half):
-    """UGIMP functions of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
+    """Return uGIMP functions of the nodes -1, 0, 1 at -1/2 <= s <= 1/2, away from walls.
 
     S. G. Bardenhagen, E. M. Kober, CMES 5 (2004); the domain of a point keeps its initial size.
 
     Args:
-        s: position relative to the nearest node.
-        half: half of the point's size, above 0 and at most 1/2.
+        s: Position relative to the nearest node.
+        half: Half of the point's size, above 0 and at most 1/2.
     """
     below, dbelow = _ramp(-s, half)
     above, dabove = _ramp(s, half)
-    # the two ramps take from the node what they give to its neighbours
+    # the two ramps take from the node what they add to its neighbours
     return (below, 1.0 - below - above, above), (-dbelow, dbelow - dabove, dabove)
 
 
 @njit
 def gimp(s, half, lower, upper):
-    """As ``gimp_inside`` at any place; the second derivative is the one between kinks of the first.
+    """Return uGIMP functions anywhere, see ``gimp_inside``.
+
+    The second derivative is that between the kinks of the first one.
 
     Args:
-        s: position relative to the nearest node.
-        half: half of the point's size, above 0 and at most 1/2.
-        lower: whether node -1 is beyond a wall.
-        upper: whether node 1 is.
+        s: Position relative to the nearest node.
+        half: Half of the point's size, above 0 and at most 1/2.
+        lower: Whether node -1 is beyond a wall.
+        upper: Whether node 1 is beyond a wall.
     """
     values, slopes = gimp_inside(s, half)
     c = 0.5 / half if abs(s) < half else 0.0
@@ -128,14 +130,14 @@ def gimp(s, half, lower, upper):
 
 @njit
 def _ramp(s, half):
-    """Average of max(s, 0) over (s - half, s + half), with its derivative."""
+    """Return the average of max(s, 0) over (s - half, s + half), with its derivative."""
     reach = min(max(s, -half), half) + half
     return reach * reach / (4.0 * half) + max(s - half, 0.0), reach / (2.0 * half)
 
 
 @njit
 def fold3(f, lower, upper):
-    """Give the parts of nodes beyond a wall to those at it: ``u_-1 = 2 u_0 - u_1``."""
+    """Move the parts of nodes beyond a wall to nodes inside: ``u_-1 = 2 u_0 - u_1``."""
     a, b, c = f
     if lower:
         return 0.0, b + 2.0 * a, c - a
@@ -146,7 +148,7 @@ def fold3(f, lower, upper):
 
 @njit
 def fold4(f, lower, upper):
-    """As ``fold3`` for four nodes."""
+    """Do as ``fold3`` for four nodes."""
     a, b, c, d = f
     if lower:
         a, b, c = 0.0, b + 2.0 * a, c - a
@@ -157,15 +159,15 @@ def fold4(f, lower, upper):
 
 @njit
 def tabulate_line(kind, i, t, n, half, result):
-    """Values and derivatives of a kind of functions into ``result (3, >= width)``.
+    """Write values and derivatives of a kind of functions into ``result (3, >= width)``.
 
     Args:
         kind: LINEAR, QUADRATIC, CUBIC or GIMP.
-        i: number of the cell.
-        t: position in it, 0 to 1.
-        n: number of cells.
-        half: half of the point's size in units of a cell (uGIMP).
-        result: rows for values, first and second derivatives.
+        i: Number of the cell.
+        t: Position in it, 0 to 1.
+        n: Number of cells.
+        half: Half of the point's size in units of a cell (uGIMP).
+        result: Rows for values, first and second derivatives.
 
     Returns:
         Number of the first node, -1 if it is beyond the wall.

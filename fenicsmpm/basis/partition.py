@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Distribution of a mesh such that each rank sees all cells that touch its own."""
+"""Partitioners that give each rank all cells that touch its own."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ _Array = npt.NDArray[np.int64]
 
 
 def shared_vertex_partitioner(comm: Any, n_parts: int, cell_types: Any, cells: Any) -> Any:
-    """A partitioner for dolfinx: its own one, with all cells that share a vertex as ghosts.
+    """Partition a mesh with dolfinx' own partitioner and ghost cells at all shared vertices.
 
-    dolfinx has ghosts over facets only (``GhostMode.shared_facet``). To be passed as
-    ``partitioner=`` to ``create_box``, ``create_rectangle`` or ``create_mesh``. Collective.
+    dolfinx itself has ghost cells at facets only (``GhostMode.shared_facet``). Pass this function
+    as ``partitioner=`` to ``create_box``, ``create_rectangle`` or ``create_mesh``. Collective.
 
     Args:
-        comm: MPI communicator over which the cells are spread.
-        n_parts: number of ranks to spread them to.
-        cell_types: types of cells; one only.
-        cells: vertices of this rank's cells for each type, int64, flat.
+        comm: MPI communicator of the ranks that pass cells.
+        n_parts: Number of ranks that get cells.
+        cell_types: Types of cells; one only.
+        cells: Vertices of this rank's cells for each type, int64, flat.
 
     Returns:
-        Adjacency list: ranks that get each cell, the owner first.
+        Adjacency list of the ranks that get each cell, the owner first.
     """
     parts = _compat.cell_partitioner(GhostMode.none)(comm, n_parts, cell_types, cells)
     return with_vertex_ghosts(comm, parts.array[parts.offsets[:-1]], cells)
 
 
 def with_vertex_ghosts(comm: Any, owner: npt.NDArray[np.int32], cells: Any) -> Any:
-    """A distribution of cells in which each rank gets all that share a vertex with its own.
+    """Add ghosts to a distribution of cells, such that each rank gets all cells that touch its own.
 
-    Collective.
+    Cells touch if they share a vertex. Collective.
 
     Args:
-        comm: MPI communicator over which the cells are spread.
-        owner: rank that is to own each of this rank's cells, ``(n,)``.
-        cells: their vertices for each type, one only, int64, flat.
+        comm: MPI communicator of the ranks that pass cells.
+        owner: Rank that is to own each of this rank's cells, shape ``(n,)``.
+        cells: Vertices of these cells for each type, one only, int64, flat.
 
     Returns:
-        Adjacency list: ranks that get each cell, the owner first.
+        Adjacency list of the ranks that get each cell, the owner first.
     """
     owner = owner.astype(np.int64)
     n = len(owner)
@@ -58,7 +58,7 @@ def with_vertex_ghosts(comm: Any, owner: npt.NDArray[np.int32], cells: Any) -> A
     cell = np.repeat(np.repeat(np.arange(n), vertices.shape[1]), counts)
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     rank = ranks[np.repeat(first, counts) + within, 1]
-    # the owner comes before the others
+    # the owner comes first
     is_ghost = rank != owner[cell]
     found = np.unique(np.column_stack([cell, is_ghost, rank]), axis=0)
     offsets = np.searchsorted(found[:, 0], np.arange(n + 1))
@@ -66,7 +66,7 @@ def with_vertex_ghosts(comm: Any, owner: npt.NDArray[np.int32], cells: Any) -> A
 
 
 def _ranks_at(comm: Any, pairs: _Array) -> _Array:
-    """All pairs (vertex, rank) of the vertices in the pairs of this rank, sorted."""
+    """Return all pairs (vertex, rank) of the vertices in this rank's pairs, sorted."""
     keeper = pairs[:, 0] % comm.size
     received = comm.alltoall([pairs[keeper == r] for r in range(comm.size)])
     known = np.unique(np.concatenate(received), axis=0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""PointStencil: the grid functions that are not zero at each material point.
+"""Interface of grid functions at material points.
 
 Points are handled in *groups* that see the same grid functions: the points of a cell for
 Lagrange elements, the points between the same knots for splines on lattices. All arrays here
-have one row a point **in group order**; ``order`` leads back to the storage order.
+have one row per point **in group order**; ``order`` leads back to the storage order.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-# Least value of a function that may have a slope, for explicit steps: without mass, the far node of
-# a point on a wall or a grid line would have no velocity
+# Least value of a function that may have a slope, for explicit steps. Without any mass, the far
+# node of a point on a wall or a grid line would have no velocity.
 LEAST = 1e-14
 
 if TYPE_CHECKING:
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 
 class PointStencil(Protocol):
-    """What the assembly and the mapping need to know of a basis on a point set."""
+    """Grid functions that are not zero at the points, as assembly and mapping need them."""
 
     @property
     def order(self) -> npt.NDArray[np.int64]:
-        """``(n_points,)`` storage index of each point, in group order."""
+        """Storage index of each point, in group order, shape ``(n_points,)``."""
 
     @property
     def offsets(self) -> npt.NDArray[np.int64]:
-        """``(n_groups + 1,)`` range of the points of each group within ``order``."""
+        """Range of the points of each group within ``order``, shape ``(n_groups + 1,)``."""
 
     @property
     def n_owned_groups(self) -> int:
@@ -38,61 +38,61 @@ class PointStencil(Protocol):
 
     @property
     def kind(self) -> str:
-        """Stencils of the same kind on the same mesh have the same groups and nodes."""
+        """Kind of the stencil; on a mesh, stencils of one kind have the same groups and nodes."""
 
     @property
     def groups_are_cells(self) -> bool:
-        """Whether each group is the points of a cell."""
+        """Whether a group consists of the points of a cell."""
 
     def n_functions(self, element: Any) -> int:
-        """Number of functions of a scalar element that a group sees."""
+        """Return the number of functions of a scalar element that a group sees."""
 
     @property
     def least(self) -> npt.NDArray[np.float64]:
-        """``(n_groups,)`` share of the largest function up to which others may be round-off."""
+        """Fraction of the largest function below which others may be round-off, ``(n_groups,)``."""
 
     def dofs(self, space: Any) -> npt.NDArray[np.int32]:
-        """``(n_groups, n)`` local blocks of a function space seen by each group.
+        """Return local blocks of a function space that each group sees, ``(n_groups, n)``.
 
-        Those of a mixed space come in the order of its cell dofmap: subspace by subspace, and
-        node by node within each.
+        For a mixed space they are in the order of its cell dofmap: subspace by subspace, and node
+        by node within each.
 
         Raises:
-            ValueError: if the functions do not stand for those of the space.
+            ValueError: If the functions cannot replace those of the space.
         """
 
     def seen_cells(self, which: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[np.int32]:
-        """Local cells, ghosts included, of which some point sees all nodes; ascending.
+        """Return local cells, ghosts included, all of whose nodes some point sees; ascending.
 
         Args:
-            which: ``(n_points,)`` mask of the points that count; None for all.
+            which: Mask of the points that count, ``(n_points,)``; None for all.
         """
 
     def table(self, element: Any, derivatives: int) -> npt.NDArray[np.float64]:
-        """Grid functions and their derivatives at the points.
+        """Tabulate grid functions and their derivatives at the points.
 
         Args:
-            element: scalar basix element.
+            element: Scalar basix element.
             derivatives: 0 for values, 1 also for gradients, 2 also for second derivatives.
 
         Returns:
-            ``(n_points, n_rows, n_nodes)``; rows are the value, then d gradients in 1/m, then
-            d*d second derivatives in 1/m^2 (row-major).
+            Table of shape ``(n_points, n_rows, n_nodes)``. Rows are the value, then d gradients in
+            1/m, then d*d second derivatives in 1/m^2 (row-major).
         """
 
     def positive_table(self, element: Any) -> npt.NDArray[np.float64]:
-        """Values of functions that are nowhere negative, at least ``LEAST`` if they have a slope.
+        """Tabulate functions that are nowhere negative, at least ``LEAST`` if they have a slope.
 
         Args:
-            element: scalar basix element of degree 1.
+            element: Scalar basix element of degree 1.
 
         Returns:
-            ``(n_points, n_nodes)``, in group order.
+            Table of shape ``(n_points, n_nodes)``, in group order.
         """
 
 
 def round_off(geometry: CellGeometry) -> npt.NDArray[np.float64]:
-    """``(n_cells,)`` what grid functions that are zero may be at points in each cell.
+    """Return the round-off of grid functions that are zero at points in each cell, ``(n_cells,)``.
 
     Their slopes on the reference cell are less than 10.
     """
@@ -100,5 +100,5 @@ def round_off(geometry: CellGeometry) -> npt.NDArray[np.float64]:
 
 
 def derivative_rows(derivatives: int, dim: int) -> int:
-    """Number of table rows for values and derivatives up to the given order."""
+    """Return the number of table rows for values and derivatives up to the given order."""
     return sum(dim**k for k in range(derivatives + 1))

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Windows: the nodes around the points of a tile, in an array that stays in the first cache."""
+"""Windows: nodes around the points of a tile, in an array that fits into the first-level cache."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-# Nodes of a tile in each direction
+# Number of nodes of a tile in each direction
 SIDE = {2: 8, 3: 4}
-# Cells that a point may drift until tiles are laid anew; tiles around a point's own one suffice
+# Number of cells that a point may drift until tiles are built anew. It then stays within the
+# neighbouring tiles of its own one.
 MARGIN = {2: 1, 3: 1}
-# Points that are as near to a wall, in cells, are on it
+# Points closer to a wall than this, in cells, are on it.
 ON_WALL = 1e-9
 
 
@@ -17,11 +18,11 @@ class Window(NamedTuple):
     """Shape of a window: a tile and its rim.
 
     Attributes:
-        side: nodes of a tile in each direction.
-        margin: nodes before a tile's first one.
-        far: distance in memory of nodes next to each other in the first direction.
-        near: the same in the second direction.
-        places: in memory, of which some are not used.
+        side: Number of nodes of a tile in each direction.
+        margin: Number of nodes before a tile's first one.
+        far: Distance in memory of neighbouring nodes in the first direction.
+        near: Distance in memory of neighbouring nodes in the second direction.
+        places: Number of places in memory, of which some are not used.
     """
 
     side: int
@@ -32,10 +33,10 @@ class Window(NamedTuple):
 
 
 def window(dim: int, width: int) -> Window:
-    """Window for functions of some nodes a direction."""
+    """Return the window for functions of `width` nodes per direction."""
     side, margin = SIDE[dim], MARGIN[dim]
     size = side + width - 1 + 2 * margin
-    # an odd distance, since caches dislike powers of two
+    # an odd distance, since powers of two collide in caches
     near = size if dim == 3 else 1
     far = size * near
     far += 1 - far % 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cells of the background mesh as the points fill them."""
+"""Background cells as filled by points: active and cut cells, tying, weight correction."""
 
 from fenicsmpm.cells.active_cells import ActiveCells
 from fenicsmpm.cells.filled_fraction import FilledFraction

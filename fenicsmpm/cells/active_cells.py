@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cells that hold points, and the facets at which cut cells need support from their neighbours."""
+"""Active cells, and the facets at which cut cells are supported by their neighbours."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from fenicsmpm.points.agreement import raise_together
 
 
 class ActiveCells:
-    """The part of the background mesh that holds points, followed as they move.
+    """The cells of the background mesh that take part in the solution, updated as points move.
 
-    A cell is active if some point sees all its nodes: with finite elements, if it holds a point;
-    splines and uGIMP see further cells. Cells that load points see are active, too. Where there
-    are loads but nothing of a body, all cells around are active, so that there is a way to the body
-    over facets. An active cell is cut if it holds nothing of a body, or if one of its facets
-    leads to a cell that is not active. The measures are for UFL forms, which are assembled over the
-    cells and facets of the moment.
+    A cell is active if some point sees all its nodes. With finite elements these are the cells that
+    hold a point; splines and uGIMP see further cells. Load points make cells active, too. If a load
+    lies off the bodies, all cells around it are active, so that active cells lead from it to the
+    body over facets. An active cell is cut if it holds nothing of a body, or if one of its facets
+    leads to a cell that is not active. The measures are for UFL forms; they integrate over the
+    cells and facets that are active when a form is assembled.
 
     Args:
-        bodies: point sets on one mesh.
-        loads: further sets on it, such as boundary points that carry loads.
-        touching: boundary points of other bodies on it, which may touch these. They count where
-            they are in a cell that has a node with cells of the bodies in common.
+        bodies: Point sets on one mesh.
+        loads: Further sets on this mesh, such as boundary points that carry loads.
+        touching: Boundary points of other bodies on this mesh, which may touch these bodies. They
+            count if they are in a cell that shares a node with cells of the bodies.
 
     Attributes:
-        points: all these sets.
-        bodies: the first of them, as above.
-        touching: the last of them, as above.
-        mesh: the background mesh.
-        dx: measure of integrals over the active cells.
-        dS: measure of integrals over the facets between two active cells of which one is cut.
-        dS_all: the same over all facets between two active cells.
+        points: All point sets.
+        bodies: The point sets of bodies.
+        touching: Boundary points of other bodies.
+        mesh: The background mesh.
+        dx: Measure of integrals over the active cells.
+        dS: Measure of integrals over facets between two active cells of which at least one is cut.
+        dS_all: Measure of integrals over all facets between two active cells.
 
     Raises:
-        ValueError: for no bodies, or sets on several meshes. When cells are asked for, on all
-            ranks, if no active cells lead from a load to a body; on several ranks that takes a mesh
-            whose ranks see their neighbours' cells.
+        ValueError: If there are no bodies, or sets on several meshes. When cells are needed, on all
+            ranks: if no active cells lead from a load to a body. On several ranks this requires a
+            mesh with ghost cells at facets.
     """
 
     def __init__(
@@ -57,10 +57,10 @@ class ActiveCells:
         loads: Sequence[MaterialPoints] = (),
         touching: Sequence[MaterialPoints] = (),
     ) -> None:
-        """Prepare the topology; cells are found when they are asked for. Collective."""
+        """Prepare the topology; cells are found when they are needed. Collective."""
         points = (*bodies, *loads, *touching)
         if not bodies or any(p.mesh is not points[0].mesh for p in points):
-            raise ValueError("active cells need one or more point sets on the same mesh")
+            raise ValueError("active cells need one or more point sets, all on the same mesh")
         self.points = points
         self.bodies, self._loads, self.touching = bodies, tuple(loads), tuple(touching)
         self.mesh = points[0].mesh
@@ -80,42 +80,42 @@ class ActiveCells:
 
     @property
     def version(self) -> Any:
-        """Changes whenever points have moved."""
+        """Value that changes whenever points have moved."""
         return tuple(p.version for p in self.points)
 
     def cells(self) -> npt.NDArray[np.int32]:
-        """Owned active cells, ascending (collective)."""
+        """Return the owned active cells, ascending. Collective."""
         self._update()
         return self._cells
 
     def cut_cells(self) -> npt.NDArray[np.int32]:
-        """Owned cut cells, ascending (collective)."""
+        """Return the owned cut cells, ascending. Collective."""
         raise_together(self.mesh.comm, self._error)
         self._update()
         return self._cut_cells
 
     def facets(self) -> npt.NDArray[np.int32]:
-        """Owned facets between two active cells, at least one of them cut (collective).
+        """Return the owned facets between two active cells, at least one of them cut. Collective.
 
         Raises:
-            ValueError: on all ranks, for a mesh whose ranks do not see their neighbours' cells.
+            ValueError: On all ranks, for a mesh without ghost cells at facets.
         """
         raise_together(self.mesh.comm, self._error)
         self._update()
         return self._facets[self._is_cut]
 
     def all_facets(self) -> npt.NDArray[np.int32]:
-        """Owned facets between two active cells (collective).
+        """Return the owned facets between two active cells. Collective.
 
         Raises:
-            ValueError: as ``facets``.
+            ValueError: As for ``facets``.
         """
         raise_together(self.mesh.comm, self._error)
         self._update()
         return self._facets
 
     def entities(self, integral_type: str) -> npt.NDArray[np.int32]:
-        """Where integrals of a type are to be taken, as dolfinx wants it (collective).
+        """Return the integration entities of a type of integral, in dolfinx' format. Collective.
 
         Args:
             integral_type: "cell" or "interior_facet".
@@ -127,7 +127,7 @@ class ActiveCells:
         raise ValueError(f"no integrals of type {integral_type!r} over active cells: use dx or dS")
 
     def blocks(self, integral_type: str) -> npt.NDArray[np.int32]:
-        """``(n, 1 or 2)`` cells whose functions meet in an entity of an integral."""
+        """Return the cells whose functions meet in an entity of an integral, ``(n, 1 or 2)``."""
         if integral_type == "cell":
             return self.cells()[:, None]
         return self._facet_cells[self.facets()]
@@ -146,7 +146,7 @@ class ActiveCells:
             active.array[stencil_of(points).seen_cells()] = 1.0
         active.scatter_reverse(la.InsertMode.add)
         if self._loads:
-            active.array[owned:] = 0.0  # which their owners know now
+            active.array[owned:] = 0.0  # their owners know them now
             loaded = np.unique(np.concatenate([points.cell for points in self._loads]))
             apart = loaded[active.array[loaded] == 0]
             around = nodes_of(self.mesh, apart)[_compat.geometry_dofmap(self.mesh)].any(axis=1)
@@ -164,14 +164,14 @@ class ActiveCells:
         active.scatter_forward()
         filled.scatter_forward()
         self._require_way(active, filled)
-        # facets of the mesh's own boundary have one cell, repeated: nothing is missing there
+        # facets on the boundary of the mesh have their cell twice: nothing is missing there
         first, second = active.array[self._facet_cells].T > 0
         between = self._facet_cells[first != second]
         cut = la.vector(cell_map)
         cut.array[:] = 0.0
         cut.array[between.ravel()] = 1.0
-        cut.array[filled.array == 0] = 1.0  # if active at all, as a way of loads to the body
-        # a rank sees all facets of its own cells, so owned values are complete
+        cut.array[filled.array == 0] = 1.0  # active only as a link from a load to a body
+        # each rank has all facets of its own cells, so values of owned cells are complete
         cut.scatter_forward()
         is_cut = (cut.array > 0) & (active.array > 0)
         touched = is_cut[self._facet_cells].any(axis=1)
@@ -184,7 +184,7 @@ class ActiveCells:
         self._version = self.version
 
     def _require_way(self, active: la.Vector, filled: la.Vector) -> None:
-        """Raise ValueError for loads from which no active cells lead to a body (collective)."""
+        """Raise ValueError for loads from which no active cells lead to a body. Collective."""
         if not self._loads or not self._sees_neighbours:
             return
         comm, pairs = self.mesh.comm, self._facet_cells
@@ -207,7 +207,7 @@ class ActiveCells:
         if everywhere:
             place = ", ".join(f"{x:.6g}" for x in min(everywhere))
             raise ValueError(
-                f"a load at ({place}) m is too far from the bodies: no active cells lead from its "
+                f"a load at ({place}) m is too far from the bodies: no active cells connect its "
                 "cell to theirs"
             )
 
@@ -230,11 +230,14 @@ class _AllFacets:
 
 
 def nodes_of(mesh: Any, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-    """``(n_nodes,)`` mask of the local nodes of the mesh in given cells of any rank (collective).
+    """Return a mask of local mesh nodes that belong to given cells of any rank. Collective.
 
     Args:
-        mesh: background mesh.
-        cells: owned cells.
+        mesh: The background mesh.
+        cells: Owned cells.
+
+    Returns:
+        Mask of shape ``(n_nodes,)``.
     """
     marks = la.vector(mesh.geometry.index_map())
     marks.array[:] = 0.0
@@ -245,7 +248,7 @@ def nodes_of(mesh: Any, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]
 
 
 def _two_cells(topology: Any) -> npt.NDArray[np.int32]:
-    """``(n_facets, 2)`` cells of each local facet; the same twice at the boundary."""
+    """Return the two cells of each local facet, ``(n_facets, 2)``; equal ones at the boundary."""
     dim = topology.dim
     links = topology.connectivity(dim - 1, dim)
     first = links.array[links.offsets[:-1]]
@@ -254,7 +257,7 @@ def _two_cells(topology: Any) -> npt.NDArray[np.int32]:
 
 
 def _check_ghosts(topology: Any, facet_cells: npt.NDArray[np.int32]) -> ValueError | None:
-    """What is wrong if an owned facet lacks the cell that another rank has."""
+    """Return an error if an owned facet lacks a cell that another rank has."""
     owned = topology.index_map(topology.dim - 1).size_local
     single = np.flatnonzero(facet_cells[:owned, 0] == facet_cells[:owned, 1])
     if len(np.setdiff1d(single, exterior_facet_indices(topology))) == 0:

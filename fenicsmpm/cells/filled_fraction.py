@@ -19,22 +19,22 @@ _VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 
 
 class FilledFraction(fem.Function):
-    """Points' volume at each node per volume of the active cells around it, P1.
+    """Volume of the points at each node per volume of the active cells around it, P1.
 
     With the vertex rule, ``fraction * a * b * fraction.vertex_dx`` is the lumped mass
     ``sum_I m_I a_I b_I`` with the points' own nodal volumes ``m_I = sum_p N_I(x_p) V_p``.
 
     Args:
-        points: the point set.
-        field: "weight" for volumes; a field of masses makes the fraction a density [kg/m^d].
+        points: The point set.
+        field: "weight" for volumes; a field of masses makes the fraction a density in kg/m^d.
 
     Attributes:
-        points: the point set.
-        vertex_dx: measure of the active cells with the vertices as integration points.
+        points: The point set.
+        vertex_dx: Measure of the active cells with the vertices as integration points.
     """
 
     def __init__(self, points: MaterialPoints, field: str = "weight") -> None:
-        """Compute the fraction of the points as they are (collective)."""
+        """Compute the fraction for the current points. Collective."""
         space = fem.functionspace(points.mesh, ("Lagrange", 1))
         super().__init__(space, name="filled_fraction")
         self.points = points
@@ -47,7 +47,7 @@ class FilledFraction(fem.Function):
         self.follow_points()
 
     def follow_points(self) -> None:
-        """Compute the fraction anew from the points; forms do it before each use (collective)."""
+        """Compute the fraction anew; forms call this before each use. Collective."""
         space = self.function_space
         if self._version != self._cells.version:
             self._version = self._cells.version
@@ -63,7 +63,7 @@ class FilledFraction(fem.Function):
 
 
 def _vertex_shares(mesh: Any) -> npt.NDArray[np.float64]:
-    """``(n_cells, n_vertices)`` what the vertex rule gives to each vertex of a cell [m^d]."""
+    """Return the weights of the vertex rule in m^d, ``(n_cells, n_vertices)``."""
     space = fem.functionspace(mesh, ("Discontinuous Lagrange", 1))
     dx = ufl.Measure("dx", domain=mesh.ufl_domain(), metadata=_VERTEX_RULE)
     shares = fem.assemble_vector(_jit.mesh_form(ufl.TestFunction(space) * dx))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Nodes of little mass tied to filled cells, the alternative to the ghost penalty.
+"""Tying of nodes with little mass to well-filled cells, an alternative to the ghost penalty.
 
-Aggregated unfitted finite elements (S. Badia, F. Verdugo, A. F. Martin, Comput. Methods Appl.
-Mech. Engrg. 336, 2018): functions that are extrapolated linearly from filled cells to the nodes
-at the rim of the body. The system A x = b becomes T^T A T y = T^T b with x = T y.
+The method is that of aggregated unfitted finite elements (S. Badia, F. Verdugo, A. F. Martin,
+Comput. Methods Appl. Mech. Engrg. 336, 2018): functions of well-filled cells are extrapolated
+linearly to the nodes at the rim of the body. The system A x = b becomes T^T A T y = T^T b with
+x = T y.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from fenicsmpm.transfer.points_to_grid import p2g
 
 
 class _Rim(NamedTuple):
-    """Bodies that fill cells together, their active cells, and dofs tied by these; None for all."""
+    """Bodies that fill cells together, their active cells, and the dofs to tie; None for all."""
 
     bodies: list[MaterialPoints]
     cells: ActiveCells
@@ -37,26 +38,26 @@ class _Rim(NamedTuple):
 
 
 class Tying:
-    """Linear extrapolation to the ill nodes of a linear space, all components alike.
+    """Linear extrapolation to ill-supported nodes of a linear space, the same for all components.
 
-    A node of active cells, or whose function is not zero at all points, is ill if none of its
-    cells is well filled. Its values are those of the linear function of one well-filled cell, the
-    one with the nearest centroid; never of a chain. Several bodies that move with the same
-    functions fill cells together.
+    A node is ill if none of its cells is well filled, although it belongs to an active cell or its
+    function is not zero at all points. Its values are those of the linear function of one
+    well-filled cell, the one with the nearest centroid. Tied nodes never depend on other tied
+    nodes. Several bodies that move with the same functions fill cells together.
 
     Args:
-        space: linear Lagrange space, scalar, blocked or mixed.
-        bodies: material points with volumes as weights [m^d].
-        cells: active cells of the bodies and of boundary points.
-        threshold: volume of points per volume of the cell [-] from which it is well filled.
+        space: Linear Lagrange space, scalar, blocked or mixed.
+        bodies: Material points with volumes as weights in m^d.
+        cells: Active cells of the bodies and of boundary points.
+        threshold: Volume of points per volume of the cell, from which a cell is well filled.
 
     Attributes:
-        bodies: as above.
-        matrix: T, rows of the identity but for the tied degrees of freedom (after ``update``).
+        bodies: As above.
+        matrix: The matrix T after ``update``: rows of the identity, except at tied dofs.
 
     Raises:
-        ValueError: for spaces that are not linear, a body that is not in the active cells, no
-            body, a threshold that is not positive.
+        ValueError: For spaces that are not linear, a body that is not in the active cells, no
+            body, and a threshold that is not positive.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Tying:
         cells: ActiveCells,
         threshold: float = 0.5,
     ) -> None:
-        """Find the degrees of freedom of each node, and the first T (collective)."""
+        """Find the degrees of freedom of each node, and the first T. Collective."""
         self._prepare(space, [_Rim(_listed(bodies), cells, None)], threshold)
 
     @classmethod
@@ -77,22 +78,25 @@ class Tying:
         cells: Sequence[ActiveCells],
         threshold: float = 0.5,
     ) -> Tying:
-        """Tied nodes of coupled unknowns: those of each are tied to cells that its bodies fill.
+        """Tie nodes of coupled unknowns, each to cells that the bodies of its unknown fill.
 
         Args:
-            unknowns: made by ``formulations.coupled_unknowns``.
-            bodies: of each unknown, one or several.
-            cells: active cells of the bodies of each unknown.
-            threshold: as above.
+            unknowns: Unknowns made by ``formulations.coupled_unknowns``.
+            bodies: Body or bodies of each unknown, with volumes as weights in m^d.
+            cells: Active cells of the bodies of each unknown.
+            threshold: As above.
+
+        Returns:
+            The tying of all unknowns.
 
         Raises:
-            ValueError: as above, and for sequences of different lengths.
+            ValueError: As above, and for sequences of different lengths.
         """
         lengths = [len(unknowns), len(bodies), len(cells)]
         if len({*lengths}) > 1:
             raise ValueError(
-                f"{lengths[0]} unknowns, bodies of {lengths[1]} and active cells of {lengths[2]}: "
-                "give as many of each, in the same order"
+                f"there are {lengths[0]} unknowns, bodies of {lengths[1]} and active cells of "
+                f"{lengths[2]}: give as many of each, in the same order"
             )
         result = object.__new__(cls)
         rims = [
@@ -103,11 +107,11 @@ class Tying:
         return result
 
     def of(self, bodies: Sequence[MaterialPoints], space: fem.FunctionSpace) -> Tying:
-        """The same for functions of another space, tied to what some of the bodies fill.
+        """Return the tying of functions of another space to cells that some of the bodies fill.
 
         Args:
-            bodies: those of one unknown.
-            space: linear Lagrange space, such as that of a part of the unknown.
+            bodies: Bodies of one unknown.
+            space: Linear Lagrange space, such as that of a part of the unknown.
         """
         if space is self.space:
             return self
@@ -118,9 +122,11 @@ class Tying:
         for rim in rims:
             known = rim.bodies and all(body in rim.cells.points for body in rim.bodies)
             if not known or space.mesh is not rim.cells.mesh:
-                raise ValueError("tying needs active cells of its bodies, ActiveCells(body, ..)")
+                raise ValueError(
+                    "tying needs bodies that belong to the active cells: ActiveCells(body, ...)"
+                )
         if not 0 < threshold < np.inf:
-            raise ValueError(f"cells are well filled from a positive fraction on, not {threshold}")
+            raise ValueError(f"the threshold of filled cells must be positive, not {threshold}")
         self.bodies = [body for rim in rims for body in rim.bodies]
         self.space, self.threshold, self._rims = space, threshold, list(rims)
         self._vertices = fem.functionspace(space.mesh, ("Lagrange", 1))
@@ -131,14 +137,14 @@ class Tying:
         self._sizes = (blocks.size_local * bs, blocks.size_global * bs)
         nodes = _compat.geometry_dofmap(space.mesh)
         components = _components(space)
-        # (n_nodes, n_components) and (n_cells, n_vertices, n_components) local dofs
+        # local dofs (n_nodes, n_components) and (n_cells, n_vertices, n_components)
         self._node_dofs = np.empty((len(space.mesh.geometry.x), len(components)), dtype=np.int32)
         error = None
         for node_dofs, dofs in zip(self._node_dofs.T, components, strict=True):
             if dofs.shape == nodes.shape:
                 node_dofs[nodes] = dofs
             if dofs.shape != nodes.shape or not np.array_equal(node_dofs[nodes], dofs):
-                error = ValueError(f"tying is for linear functions, not for {space.ufl_element()}")
+                error = ValueError(f"tying needs linear functions, not {space.ufl_element()}")
         raise_together(space.mesh.comm, error)
         self._cell_dofs = self._node_dofs[nodes]
         self._components = [
@@ -147,22 +153,22 @@ class Tying:
             )
             for rim in rims
         ]
-        # PETSc objects of several ranks live until they are destroyed by hand
+        # PETSc objects on several ranks live until they are destroyed explicitly
         self._real_rows, self._tied, self._loose, self._work = (self._vector() for _ in range(4))
         self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
         self.matrix, self._transposed = PETSc.Mat(), PETSc.Mat()
         self.update()
 
     def update(self, fixed: npt.ArrayLike = (), inactive: npt.ArrayLike = ()) -> None:
-        """Make T anew for the points as they are now (collective).
+        """Compute T for the current points. Collective.
 
         Args:
-            fixed: local degrees of freedom of Dirichlet conditions, which are not tied.
-            inactive: owned local degrees of freedom at which matrices have rows of the identity
-                only to be regular, such as those of cells with boundary points only.
+            fixed: Local degrees of freedom of Dirichlet conditions, which are not tied.
+            inactive: Owned local degrees of freedom without equations, whose rows of a matrix
+                are those of the identity, such as those of cells with boundary points only.
 
         Raises:
-            ValueError: on all ranks, if there are ill nodes but no well-filled cell.
+            ValueError: On all ranks, if there are ill nodes but no well-filled cell.
         """
         owned = self._sizes[0]
         fixed = np.asarray(fixed, dtype=np.int32)
@@ -199,10 +205,10 @@ class Tying:
         self._tied.array_w[bare] = 1.0
 
     def leave_out(self, inactive: npt.ArrayLike) -> None:
-        """Say which rows of matrices are those of the identity, see ``update``.
+        """Set which rows of matrices are those of the identity, see ``update``.
 
         Args:
-            inactive: owned local degrees of freedom.
+            inactive: Owned local degrees of freedom.
         """
         self._real_rows.array_w[:] = 1.0
         rows = np.asarray(inactive, dtype=np.int64)
@@ -210,19 +216,19 @@ class Tying:
 
     @property
     def tied_dofs(self) -> npt.NDArray[np.int64]:
-        """Owned local degrees of freedom that follow others, or are fixed at ill nodes."""
+        """Owned local degrees of freedom that are tied, or fixed at ill nodes."""
         return np.flatnonzero(self._tied.array_r)
 
     def extend(self, x: PETSc.Vec) -> None:
-        """Overwrite the tied entries of a vector by extrapolation, x = T x (collective)."""
+        """Overwrite the tied entries of a vector by extrapolation, x = T x. Collective."""
         self.matrix.mult(x, self._work)
         x.array_w[:] = self._work.array_r
 
     def restrict(self, b: PETSc.Vec, constrained: bool = True) -> None:
-        """Move the tied entries of a residual to the filled cells, b = T^T b (collective).
+        """Move the tied entries of a residual to the filled cells, b = T^T b. Collective.
 
         Args:
-            b: residual, overwritten.
+            b: Residual, overwritten.
             constrained: False for the equations of ``product``.
         """
         self.matrix.multTranspose(b, self._work)
@@ -231,22 +237,22 @@ class Tying:
             b.pointwiseMult(b, self._loose)
 
     def reduce(self, A: PETSc.Mat, b: PETSc.Vec) -> PETSc.Mat:
-        """Matrix T^T A T of the free unknowns; tied and constrained ones have the diagonal 1.
+        """Return T^T A T for the free unknowns, with diagonal 1 for tied and constrained ones.
 
-        The same object is overwritten until the next ``update``. Collective.
+        The same matrix object is overwritten until the next ``update``. Collective.
 
         Args:
-            A: matrix without Dirichlet conditions, whose inactive rows are set to zero; of the same
-                pattern until the next ``update``.
-            b: restricted right-hand side with the wanted values at the entries constrained by the
-                conditions of the last ``update``; their contribution is subtracted elsewhere.
+            A: Matrix without Dirichlet conditions, whose inactive rows are set to zero. Its pattern
+                must not change until the next ``update``.
+            b: Restricted right-hand side, with prescribed values at the entries constrained in the
+                last ``update``. Their contributions are subtracted from the other entries.
         """
         A.diagonalScale(self._real_rows)
-        # two products of two, as PtAP takes ten times as long to find the pattern
+        # two products of two matrices: PtAP takes ten times as long to find the pattern
         first, product, reduced = self._products or (None, None, None)
         first = A.matMult(self.matrix, first)
         product = self._transposed.matMult(first, product)
-        if reduced is None:  # has no entries for what is tied, but for a diagonal
+        if reduced is None:  # it has no entries for tied dofs, except a diagonal
             reduced = product.copy()
             diagonal = self._diagonal()
             reduced.axpy(1.0, diagonal, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -261,10 +267,10 @@ class Tying:
         return reduced
 
     def transformed(self, A: PETSc.Mat) -> PETSc.Mat:
-        """T^T A T as a new matrix, without diagonals for what is tied (collective).
+        """Return T^T A T as a new matrix, without diagonal entries for tied dofs. Collective.
 
         Args:
-            A: matrix without Dirichlet conditions, whose inactive rows are set to zero.
+            A: Matrix without Dirichlet conditions, whose inactive rows are set to zero.
         """
         A.diagonalScale(self._real_rows)
         first = A.matMult(self.matrix)
@@ -273,15 +279,15 @@ class Tying:
         return result
 
     def product(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute y = T^T A T x without the conditions of the last ``update`` (collective).
+        """Compute y = T^T A T x without the conditions of the last ``update``. Collective.
 
-        Tied entries stay. What conditions constrain is free, but zero at ill nodes, where nothing
-        would tell its value.
+        Tied entries keep their values. Constrained entries are free, except at ill nodes, where
+        nothing determines them: there they are zero.
 
         Args:
-            A: matrix, also one that is given by its products only.
-            x: vector.
-            y: result.
+            A: Matrix; it may be given by its products only.
+            x: Vector.
+            y: Result.
         """
         y.pointwiseMult(x, self._loose)
         self.matrix.mult(y, self._work)
@@ -295,9 +301,9 @@ class Tying:
     def _extrapolation(
         self, rim: _Rim, components: npt.NDArray[np.bool_], fixed: npt.NDArray
     ) -> tuple[npt.NDArray, ...]:
-        """Owned tied dofs ``(n,)``, global dofs ``(n, n_vertices)`` to take, and their weights.
+        """Return owned tied dofs ``(n,)``, their global dofs ``(n, n_vertices)``, and weights.
 
-        The fourth array has owned dofs of ill nodes that are not tied because they are fixed.
+        A fourth array holds owned dofs of ill nodes that are not tied because they are fixed.
         """
         mesh = self.space.mesh
         well = sum(filled_fractions(body) for body in rim.bodies) >= self.threshold
@@ -326,17 +332,17 @@ class Tying:
         return self._node_dofs[nodes, component], dofs[cell, :, component], weights, bare
 
     def _seen(self, cells: ActiveCells) -> npt.NDArray[np.bool_]:
-        """``(n_nodes,)`` whether functions of a node are not zero at all points, however small."""
+        """Return whether the function of a node is not zero at all points, ``(n_nodes,)``."""
         space = self._vertices
         seen = np.zeros(len(self.space.mesh.geometry.x), dtype=np.bool_)
-        # boundary points, too: where they are off the body, as on walls that they do not touch
+        # boundary points count, too: they may lie off the body, as on walls that it does not touch
         for points in cells.points:
             weight = p2g(points, points.weight, space).array
             seen[_compat.geometry_dofmap(space.mesh)] |= (weight != 0)[space.dofmap.list]
         return seen
 
     def _gather(self, cells: npt.NDArray) -> tuple[npt.NDArray, npt.NDArray]:
-        """Corners and global dofs of cells on all ranks, in the order of their keys."""
+        """Return corners and global dofs of cells on all ranks, in the order of their keys."""
         geometry = cell_geometry(self.space.mesh)
         here = (geometry.key[cells], geometry.corners(cells), self._global[self._cell_dofs[cells]])
         gathered = self.space.mesh.comm.allgather(here)
@@ -345,7 +351,7 @@ class Tying:
         return corners[order], dofs[order]
 
     def _diagonal(self) -> PETSc.Mat:
-        """Ones on the diagonal of what is tied, and no other entries."""
+        """Return a matrix with ones on the diagonal of tied dofs, and no other entries."""
         is_tied = self._tied.array_r > 0
         ends = np.concatenate([[0], np.cumsum(is_tied)]).astype(PETSc.IntType)
         columns = self._global[: len(is_tied)][is_tied].astype(PETSc.IntType)
@@ -362,7 +368,7 @@ class Tying:
 
 
 def _components(space: fem.FunctionSpace) -> list[npt.NDArray[np.int32]]:
-    """``(n_cells, n_nodes)`` unrolled local dofs of each scalar component of a space."""
+    """Return unrolled local dofs of each scalar component, ``(n_cells, n_nodes)``."""
     if space.num_sub_spaces == 0:
         return [space.dofmap.list]
     subspaces = (space.sub(i) for i in range(space.num_sub_spaces))
@@ -375,7 +381,7 @@ def _listed(bodies: MaterialPoints | Sequence[MaterialPoints]) -> list[MaterialP
 
 @njit
 def _nearest(x, centres):  # type: ignore[no-untyped-def]
-    """Index of the centre nearest to each x; of those as near up to round-off, the first."""
+    """Return the index of the centre nearest to each x; the first of several up to round-off."""
     result = np.zeros(len(x), dtype=np.int64)
     for i in range(len(x)):
         best = np.inf

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Weights of the points in full cells that sum to the volume of the cell."""
+"""Correction of point weights, such that full cells have their exact volume."""
 
 from __future__ import annotations
 
@@ -10,33 +10,36 @@ from fenicsmpm import _compat
 from fenicsmpm.cells.active_cells import ActiveCells, nodes_of
 from fenicsmpm.points import MaterialPoints
 
-# Volume of points per volume of a full cell, beyond which there is a hole or a pile of points
+# Volume of points per volume of a full cell, outside of which a cell has a gap or a pile of points
 _LEAST, _MOST = 0.5, 1.5
 
 
 def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
-    """Scale the weights in full interior cells so that they sum to the cell's volume (collective).
+    """Scale weights in full interior cells such that they add up to the cell's volume. Collective.
 
-    Points that cross cells leave one overfull and the other with a gap; the integrals then miss
-    parts of the body that is there. Constant functions are integrated exactly afterwards. To be
-    used as ``ImplicitMPM(..., observers=[lambda sim, step: correct_weights(body, cells)])``; masses
-    stay.
+    When a point crosses cells, one cell is overfull and the other has a gap. Integrals then miss
+    parts of the body. After the correction, constant functions are integrated exactly. Use it as
+    ``ImplicitMPM(..., observers=[lambda sim, step: correct_weights(body, cells)])``. Masses do not
+    change.
 
     With smooth functions, corrected weights keep more of the energy of long runs, but pressures at
-    points see how weights jump from cell to cell (docs/explanation/smooth_functions.md).
+    points show the jumps of the weights between cells (docs/explanation/smooth_functions.md).
 
-    A cell is interior if no vertex of it belongs to a cell without points. Left as they are: cells
-    filled to less than 0.5 or more than 1.5 of their volume, and cells shared with another body.
+    A cell is interior if none of its vertices belongs to a cell without points. Cells that are
+    filled to less than 0.5 or more than 1.5 of their volume, and cells shared with another body,
+    keep their weights.
 
     Args:
-        body: material points with their volumes as weights [m^d], which are changed.
-        cells: active cells of the body, of others that it touches, and of loads.
+        body: Material points with volumes in m^d as weights, which are changed.
+        cells: Active cells of the body, of others that it touches, and of loads.
 
     Raises:
-        ValueError: if the body is not one of the point sets of the cells.
+        ValueError: If the body is not one of the point sets of the cells.
     """
     if body not in cells.points:
-        raise ValueError("weights of a body that is not in the active cells: ActiveCells(body, ..)")
+        raise ValueError(
+            "the body must be one of the point sets of the active cells: ActiveCells(body, ...)"
+        )
     mesh = cells.mesh
     fill = filled_fractions(body)
     empty = np.ones(len(fill), dtype=np.bool_)
@@ -55,10 +58,10 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
 
 
 def filled_fractions(body: MaterialPoints) -> npt.NDArray[np.float64]:
-    """``(n_owned_cells,)`` volume of the points in each cell per volume of the cell [-].
+    """Return the volume of points in each owned cell per volume of the cell, ``(n_owned_cells,)``.
 
     Args:
-        body: material points with volumes as weights [m^d].
+        body: Material points with volumes in m^d as weights.
     """
     geometry = body.geometry
     filled = np.bincount(body.cell, body.weight, minlength=geometry.num_owned)

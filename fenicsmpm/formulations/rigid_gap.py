@@ -42,7 +42,7 @@ class RigidGap:
         dim = points.mesh.geometry.dim
         if rigid.dim != dim:
             raise ValueError(
-                f"the rigid body {rigid.name} has {rigid.dim} dimensions, the mesh has {dim}"
+                f"the rigid body {rigid.name} has {rigid.dim} dimensions, but the mesh has {dim}"
             )
         self._points, self._rigid = points, rigid
         self._place = PointExpression(ufl.SpatialCoordinate(points.mesh) + u, points)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Output for people and for other programs."""
+"""Output: pictures, plots, files for ParaView, histories, checkpoints, log and progress."""
 
 from fenicsmpm._display import Picture
 from fenicsmpm.io import checkpoint

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files that are replaced as a whole or not at all."""
+"""Files that are replaced completely or not at all."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fenicsmpm.points.agreement import do_there
 
 
 def replace(path: Path, content: bytes | memoryview) -> None:
-    """Let a file with this content take the place of another one, or nothing; see ``replacing``.
+    """Replace a file by one with this content, completely or not at all; see ``replacing``.
 
     Args:
-        path: file to be replaced or made.
-        content: of the new file.
+        path: File to replace or create.
+        content: Content of the new file.
 
     Raises:
-        OSError: names the file; it is as it was.
+        OSError: If the file cannot be written. The error names the file, which stays as it was.
     """
     try:
         with replacing(path) as stream:
@@ -38,20 +38,20 @@ def replace(path: Path, content: bytes | memoryview) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Write a file beside another one and let it take its place at the end.
+    """Write a temporary file beside another one, and replace that one at the end.
 
-    Whoever reads ``path`` finds the old file or the new one, also if the program is killed or the
-    disk is full. After an error the unfinished file is removed; one that a killed program left is
-    overwritten by the next.
+    Readers of ``path`` find either the old file or the new one, even if the program is killed or
+    the disk is full. After an error the temporary file is removed. If a killed program leaves one,
+    the next write overwrites it.
 
     Args:
-        path: file to be replaced or made; missing directories are made.
+        path: File to replace or create; missing directories are created.
 
     Yields:
-        The unfinished file, open for writing.
+        The temporary file, open for writing.
 
     Raises:
-        OSError: if it cannot be written; ``path`` is as it was.
+        OSError: If it cannot be written; ``path`` stays as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(path.name + ".tmp")
@@ -68,20 +68,20 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def replacing_together(comm: MPI.Intracomm, path: Path) -> Iterator[Path]:
-    """Have all ranks write a file beside another one that takes its place at the end (collective).
+    """Let all ranks write a temporary file that replaces another one at the end. Collective.
 
-    As ``replacing``; ranks may see the same file only. They agree on errors before they leave the
-    block, as after ``do_there``.
+    As for ``replacing``, but the ranks need a common file system. They must agree on errors before
+    they leave the block, for example by ``do_there``.
 
     Args:
-        comm: communicator of the ranks.
-        path: file to be replaced or made; missing directories are made.
+        comm: Communicator of the ranks.
+        path: File to replace or create; missing directories are created.
 
     Yields:
-        The unfinished file, which rank 0 is to make.
+        Path of the temporary file, which rank 0 must create.
 
     Raises:
-        OSError: on all ranks, if the file cannot be made; ``path`` is as it was.
+        OSError: On all ranks, if the file cannot be created; ``path`` stays as it was.
     """
     unfinished = path.with_name(path.name + ".tmp")
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints: the state of a simulation in a file, to go on from there later.
+"""Checkpoints: the state of a simulation in a file, from which it can continue later.
 
-A checkpoint has what a step leaves behind: all arrays of all points, the time, and what the time
-scheme remembers. Mesh, forms and loads come from the script: it builds its simulation as always
+A checkpoint has the state at the end of a step: all arrays of all points, the time, and the memory
+of the time scheme. Mesh, forms and loads come from the script. It builds its simulation as always
 and then restores the checkpoint into it.
 """
 
@@ -47,18 +47,18 @@ logger = logging.getLogger(__name__)
 
 
 def save(path: str | Path, sim: Simulation) -> None:
-    """Save the state of a simulation between two steps (collective).
+    """Save the state of a simulation between two steps. Collective.
 
-    All ranks write their points into one HDF5 file, so they have to see the same directory. The
-    file takes the place of an older one only when it is complete: a program that is killed
-    meanwhile leaves the older one.
+    All ranks write their points into one HDF5 file, so they need a common file system. The file
+    replaces an older one only when it is complete: if the program is killed before, the older file
+    remains.
 
     Args:
-        path: file to write, such as "cook.h5"; missing directories are made.
-        sim: the simulation.
+        path: File to write, such as "cook.h5"; missing directories are created.
+        sim: The simulation.
 
     Raises:
-        OSError: on all ranks, if the file cannot be written; an older one is as it was.
+        OSError: On all ranks, if the file cannot be written; an older one stays as it was.
     """
     path = Path(path)
     comm = _mesh(sim).comm
@@ -82,25 +82,24 @@ def save(path: str | Path, sim: Simulation) -> None:
 
 
 def restore(path: str | Path, sim: Simulation) -> None:
-    """Bring a simulation to the state that was saved (collective).
+    """Restore the saved state of a simulation. Collective.
 
-    On the same mesh with the same distribution of its cells, in particular on the same number of
-    ranks, everything goes on bit by bit as without the interruption, provided that the linear
-    solver itself gives the same bits each time, and for explicit steps, with the same number of
-    threads. Otherwise the points go to the ranks that own their cells, and results agree to
-    round-off, or to the tolerance of Newton's method where systems are solved by iterations. Grid
-    functions are not part of the state: the unknown has its values again after the
-    next step. What the script has chosen otherwise than before, such as a parameter of a law, is
-    logged as a warning: that may be meant.
+    On the same number of ranks with the same distribution of cells, the simulation continues bit by
+    bit as without the interruption. This requires a linear solver that is itself reproducible, and
+    for explicit steps the same number of threads. Otherwise the points go to the ranks that own
+    their cells, and results agree to round-off, or to the tolerance of Newton's method if linear
+    systems are solved iteratively. Grid functions are not part of the state: the unknown has its
+    values again after the next step. Choices of the script that differ from the saved run, such as
+    a parameter of a law, are logged as a warning, since they may be intended.
 
     Args:
-        path: what ``save`` wrote.
-        sim: simulation built by the same script; after an error it is as before.
+        path: File that ``save`` wrote.
+        sim: Simulation built by the same script; after an error it is unchanged.
 
     Raises:
-        CheckpointError: on all ranks, if the file is no checkpoint, is incomplete, or was saved
+        CheckpointError: On all ranks, if the file is no checkpoint, is incomplete, or was saved
             by a simulation with another mesh, time scheme, point sets or fields.
-        OSError: on all ranks, if the file cannot be read.
+        OSError: On all ranks, if the file cannot be read.
     """
     path = Path(path)
     comm = _mesh(sim).comm
@@ -119,7 +118,7 @@ def restore(path: str | Path, sim: Simulation) -> None:
     assert rows is not None
     new = []
     for points, next_id, saved in zip(point_sets(sim), contents.next_ids, rows, strict=True):
-        arrays = {name: saved[name] for name in fields_of(points)}  # in their order
+        arrays = {name: saved[name] for name in fields_of(points)}  # in the order of the points
         new.append(PointSet(next_id, arrays if same else located(points, arrays)))
     time, number = (contents.header[name] for name in ("time", "number"))
     put(State(time, number, contents.memory, new), sim)
@@ -130,7 +129,7 @@ def _mesh(sim: Simulation) -> Mesh:
 
 
 def _header(sim: Simulation) -> dict[str, Any]:
-    """What says whether a checkpoint fits, and the time (collective)."""
+    """Return the data that tell whether a checkpoint fits, and the time. Collective."""
     mesh = _mesh(sim)
     return {
         "format": FORMAT,
@@ -145,7 +144,7 @@ def _header(sim: Simulation) -> dict[str, Any]:
 
 
 def _contents(sim: Simulation, state: State) -> Contents:
-    """All but the rows of points, the same on all ranks (collective)."""
+    """Return everything except the rows of points, the same on all ranks. Collective."""
     comm = _mesh(sim).comm
     here = [(0, len(points.arrays["x"])) for points in state.sets]
     arrays = [points.arrays for points in state.sets]
@@ -162,7 +161,7 @@ def _contents(sim: Simulation, state: State) -> Contents:
 
 
 def _check(path: Path, saved: Contents, header: dict[str, Any], sim: Simulation) -> None:
-    """Raise CheckpointError unless what was saved is the state of a simulation like this one."""
+    """Raise CheckpointError unless the file was saved by a simulation like this one."""
     found = []
     if saved.header["mesh"] != header["mesh"]:
         found.append(f"its mesh is {saved.header['mesh']}, here it is {header['mesh']}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The file of a checkpoint: what is where in it, and its checksums."""
+"""Layout and checksums of checkpoint files."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from fenicsmpm.simulation.state import Arrays, PointSet
 
 FORMAT = 3
 
-# Rows of which a checksum is taken at a time
+# Number of rows per update of a checksum
 _BLOCK = 1 << 14
 
-Span = tuple[int, int]  # first row, and the one behind the last
+Span = tuple[int, int]  # first row, and one past the last
 
 
 class CheckpointError(ValueError):
-    """A file that is no checkpoint, or one of another simulation."""
+    """Error for files that are no checkpoint, or one of another simulation."""
 
 
 @dataclass
 class Contents:
-    """All that a checkpoint has but for the rows of points, which follow rank after rank.
+    """Content of a checkpoint, except the rows of points, which follow rank by rank.
 
     Attributes:
-        header: what says whether it fits a simulation, and the time.
-        memory: what the time scheme remembers.
-        parameters: what the script has chosen, in words.
-        next_ids: of each point set.
-        counts: of each point set, points of each rank.
-        fields: of each point set, type and shape of the values at one point, by name.
-        digests: of the rows of each rank.
+        header: Data that tell whether it fits a simulation, and the time.
+        memory: Memory of the time scheme.
+        parameters: Choices of the script as texts.
+        next_ids: Next id of each point set.
+        counts: Number of points on each rank, for each point set.
+        fields: Type and shape of the values at one point by name, for each point set.
+        digests: Checksum of the rows of each rank.
     """
 
     header: dict[str, Any]
@@ -52,12 +52,12 @@ class Contents:
     digests: list[str]
 
     def spans(self, rank: int) -> list[Span]:
-        """Rows that a rank has saved, of each point set."""
+        """Return the rows that a rank has saved, for each point set."""
         return [(sum(counts[:rank]), sum(counts[: rank + 1])) for counts in self.counts]
 
     @property
     def checksum(self) -> str:
-        """Of all that is saved but for the layout, of which any other one is as good."""
+        """Return the checksum of everything except the layout, which does not affect the state."""
         result = hashlib.sha256()
         header = {name: value for name, value in self.header.items() if name != "layout"}
         for named in (header, self.memory, self.parameters, *self.fields):
@@ -67,11 +67,11 @@ class Contents:
 
 
 def digest(sets: Sequence[Mapping[str, Any]], spans: Sequence[Span]) -> str:
-    """Checksum of some rows of the arrays of point sets, or of datasets in a file.
+    """Return a checksum of some rows of the arrays of point sets, or of datasets in a file.
 
     Args:
-        sets: for each point set, arrays by name.
-        spans: of each of them, which rows.
+        sets: Arrays by name, for each point set.
+        spans: Rows, for each point set.
     """
     result = hashlib.sha256()
     for arrays, (first, end) in zip(sets, spans, strict=True):
@@ -83,17 +83,17 @@ def digest(sets: Sequence[Mapping[str, Any]], spans: Sequence[Span]) -> str:
 
 
 def write_skeleton(path: Path, contents: Contents) -> list[dict[str, int]]:
-    """Make the file with room for the rows of all points.
+    """Create the file with room for the rows of all points.
 
     Args:
-        path: of the file.
-        contents: all but the rows.
+        path: Path of the file.
+        contents: Everything except the rows.
 
     Returns:
-        For each point set, where the rows of each array begin [bytes].
+        Start of the rows of each array in bytes, for each point set.
 
     Raises:
-        OSError: if it cannot be written.
+        OSError: If the file cannot be written.
     """
     import h5py
 
@@ -126,14 +126,14 @@ def write_rows(
     """Write the rows of a rank to their places.
 
     Args:
-        path: of the file that has its skeleton.
-        places: where the rows of all ranks begin.
-        contents: all but the rows.
-        sets: the point sets of the rank.
-        rank: number of the rank.
+        path: Path of the file made by ``write_skeleton``.
+        places: Start of the rows of all ranks.
+        contents: Everything except the rows.
+        sets: Point sets of the rank.
+        rank: Number of the rank.
 
     Raises:
-        OSError: if they cannot be written.
+        OSError: If the rows cannot be written.
     """
     with open(path, "r+b") as stream:
         for points, at, (first, _) in zip(sets, places, contents.spans(rank), strict=True):
@@ -144,15 +144,15 @@ def write_rows(
 
 
 def read_contents(path: Path, names: Sequence[str]) -> Contents:
-    """Read all but the rows.
+    """Read everything except the rows.
 
     Args:
-        path: of the file.
-        names: those of the header.
+        path: Path of the file.
+        names: Names in the header.
 
     Raises:
-        CheckpointError: if it is no checkpoint of this format, or damaged.
-        OSError: if it cannot be read.
+        CheckpointError: If the file is no checkpoint of this format, or is damaged.
+        OSError: If it cannot be read.
     """
     with _opened(path) as file:
         found = file.attrs.get("format")
@@ -160,9 +160,9 @@ def read_contents(path: Path, names: Sequence[str]) -> Contents:
             raise CheckpointError(f"{path} is an HDF5 file, but no checkpoint of fenicsmpm")
         if found != FORMAT:
             raise CheckpointError(
-                f"checkpoint {path} has format {found} (fenicsmpm {file.attrs['fenicsmpm']}), this "
-                f"is fenicsmpm {fenicsmpm.__version__}, which reads format {FORMAT}: restore it "
-                "with the version that saved it"
+                f"checkpoint {path} has format {found} (fenicsmpm {file.attrs['fenicsmpm']}), but "
+                f"fenicsmpm {fenicsmpm.__version__} reads format {FORMAT}: restore it with the "
+                "version that saved it"
             )
         groups = [file[f"points/{k}"] for k in range(len(file["points"]))]
         contents = Contents(
@@ -178,7 +178,7 @@ def read_contents(path: Path, names: Sequence[str]) -> Contents:
             for name, data in group.items():
                 if len(data) != sum(counts):
                     raise CheckpointError(
-                        f"checkpoint {path} is damaged: {len(data)} values of {name!r} for "
+                        f"checkpoint {path} is damaged: it has {len(data)} values of {name!r} for "
                         f"{sum(counts)} points; restore another one"
                     )
         if file.attrs["checksum"] != contents.checksum:
@@ -187,20 +187,20 @@ def read_contents(path: Path, names: Sequence[str]) -> Contents:
 
 
 def read_rows(path: Path, contents: Contents, same: bool, rank: int, size: int) -> list[Arrays]:
-    """Read the rows that a rank had, or an equal share of all, of each point set.
+    """Read the rows that a rank had, or an equal share of all rows, for each point set.
 
-    What was saved by all ranks is checked by all ranks together, each with a share.
+    All ranks together check the rows that each rank has saved.
 
     Args:
-        path: of the file.
-        contents: what else it has.
-        same: whether this rank gets what the one of the same number had.
-        rank: number of this rank.
-        size: number of ranks.
+        path: Path of the file.
+        contents: Everything else in the file.
+        same: Whether this rank gets the rows of the rank with the same number.
+        rank: Number of this rank.
+        size: Number of ranks.
 
     Raises:
-        CheckpointError: if the file is damaged.
-        OSError: if it cannot be read.
+        CheckpointError: If the file is damaged.
+        OSError: If it cannot be read.
     """
     with _opened(path) as file:
         groups = [file[f"points/{k}"] for k in range(len(contents.fields))]
@@ -219,7 +219,7 @@ def read_rows(path: Path, contents: Contents, same: bool, rank: int, size: int) 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The file, open for reading; what HDF5 cannot read is no checkpoint."""
+    """Open a file for reading; a file that HDF5 cannot read is no checkpoint."""
     import h5py
 
     with open(path, "rb") as stream:
@@ -236,10 +236,10 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _damaged(path: Path) -> CheckpointError:
     return CheckpointError(
-        f"checkpoint {path} is damaged: it does not have its checksum; restore another one"
+        f"checkpoint {path} is damaged: its checksum is wrong; restore another one"
     )
 
 
 def _plain(value: Any) -> Any:
-    """Python's own number, text or list instead of numpy's."""
+    """Convert numpy's numbers, texts and arrays to those of Python."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

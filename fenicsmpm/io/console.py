@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a person reads while a program runs: log, tables and progress bars, on rank 0 only."""
+"""Log, tables and progress bars in the terminal, on rank 0 only."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 
 class _BesideBars(logging.Handler):
-    """Writes log lines to standard output without tearing a progress bar."""
+    """Handler that writes log lines to standard output without breaking a progress bar."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
@@ -27,7 +27,7 @@ def show_log(level: int | str = logging.INFO) -> None:
     """Print the package's log on standard output, on rank 0 only.
 
     Args:
-        level: logging.INFO for a line an iteration, logging.WARNING for problems only.
+        level: logging.INFO for one line per iteration, logging.WARNING for problems only.
     """
     logger = logging.getLogger("fenicsmpm")
     logger.setLevel(level)
@@ -39,38 +39,44 @@ def show_log(level: int | str = logging.INFO) -> None:
 
 
 def say(text: str = "") -> None:
-    """Print a text on rank 0, without tearing a progress bar.
+    """Print a text on rank 0, without breaking a progress bar.
 
     Args:
-        text: what to print.
+        text: Text to print.
     """
     if MPI.COMM_WORLD.rank == 0:
         tqdm.write(text)
 
 
 def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterator[Any]:
-    """Go through items behind a progress bar, if there is a terminal or notebook to show it.
+    """Iterate over items behind a progress bar, if a terminal or notebook can show it.
 
     The environment variable TQDM_DISABLE=1 switches all bars off.
 
     Args:
-        items: what to go through.
-        label: text before the bar.
-        total: number of items, if they have no length.
+        items: Items to iterate over.
+        label: Text before the bar.
+        total: Number of items, if they have no length.
+
+    Returns:
+        An iterator over the items.
     """
     with _bar(iterable=items, desc=label, total=total) as bar:
         yield from bar
 
 
 def watch(steps: Iterable[Any], until: float, label: str) -> Iterator[Any]:
-    """Go through time steps behind a progress bar with time and time left.
+    """Iterate over time steps behind a progress bar with the time and the remaining duration.
 
-    Where steps have Newton iterations, they are shown, too. See ``progress`` for where bars appear.
+    If steps have Newton iterations, their number is shown, too. Bars appear as for ``progress``.
 
     Args:
-        steps: iterator of steps, such as ``sim.run(until)``.
-        until: end [s].
-        label: text before the bar.
+        steps: Iterator of steps, such as ``sim.run(until)``.
+        until: End in s.
+        label: Text before the bar.
+
+    Returns:
+        An iterator over the steps.
     """
     layout = (
         "{desc}: {percentage:3.0f}% |{bar}| {n:.4g}/{total:.4g} s [{elapsed}<{remaining}{postfix}]"
@@ -85,13 +91,13 @@ def watch(steps: Iterable[Any], until: float, label: str) -> Iterator[Any]:
 
 
 class _NotebookBar(tqdm):
-    """A bar in the output of a notebook's cell, where it leaves nothing behind.
+    """Progress bar in the output of a notebook cell, which it leaves empty at the end.
 
-    That of tqdm needs ipywidgets and stays in the saved notebook as a widget without a model.
+    The bar of tqdm needs ipywidgets and leaves a widget without a model in the saved notebook.
     """
 
     def __init__(self, **options: Any) -> None:
-        """Write nothing to a stream."""
+        """Create the bar without writing to a stream."""
         self._output: Any = None
         super().__init__(file=io.StringIO(), **options)
 
@@ -114,11 +120,11 @@ class _NotebookBar(tqdm):
         return f"<code>{before}</code> <progress{share}></progress> <code>{after}</code>"
 
     def clear(self, nolock: bool = False) -> None:
-        """Printed text is not in the way of the bar."""
+        """Do nothing: printed text does not collide with this bar."""
 
 
 def _bar(**options: Any) -> Any:
-    """A progress bar that vanishes at its end, on rank 0, if somebody can see it."""
+    """Return a progress bar that vanishes at its end, on rank 0, if somebody can see it."""
     if MPI.COMM_WORLD.rank == 0 and _in_notebook():
         return _NotebookBar(leave=False, **options)
     if MPI.COMM_WORLD.rank > 0 or not sys.stderr.isatty():
@@ -127,17 +133,17 @@ def _bar(**options: Any) -> Any:
 
 
 def _in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this."""
+    """Return whether a Jupyter kernel runs this."""
     ipython = sys.modules.get("IPython")
     return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
 
 
 class Table:
-    """A table that is printed row by row, on rank 0, with aligned columns.
+    """Table that is printed row by row on rank 0, with aligned columns.
 
     Args:
-        columns: title of each column and format of its numbers, such as ``{"tip [m]": ".4f"}``;
-            titles carry the units.
+        columns: Title of each column, with the unit, and format of its numbers, such as
+            ``{"tip [m]": ".4f"}``.
     """
 
     def __init__(self, columns: Mapping[str, str]) -> None:
@@ -151,10 +157,10 @@ class Table:
         """Print a row.
 
         Args:
-            values: one for each column; None for a dash, text as it is.
+            *values: One value for each column; None for a dash, texts are printed as they are.
 
         Raises:
-            ValueError: if there are more or fewer values than columns.
+            ValueError: If there are more or fewer values than columns.
         """
         if len(values) != len(self._columns):
             raise ValueError(f"{len(values)} values for {len(self._columns)} columns: {values}")

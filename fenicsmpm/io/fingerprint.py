@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether two meshes are the same, and distributed in the same way."""
+"""Checksums that tell whether two meshes are the same and distributed in the same way."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from fenicsmpm.points.geometry import cell_geometry
 
 
 def mesh_fingerprint(mesh: Mesh) -> str:
-    """Numbers of cells and nodes and a checksum of their positions (collective).
+    """Return numbers of cells and nodes and a checksum of their positions. Collective.
 
-    It depends on neither the number of ranks nor the order of cells and nodes, nor on the last
-    digits of coordinates, in which machines may differ: they are rounded to single precision.
+    The text depends neither on the number of ranks, nor on the order of cells and nodes, nor on the
+    last digits of coordinates, which may differ between machines: they are rounded to single
+    precision.
 
     Args:
-        mesh: mesh of straight cells.
+        mesh: Mesh of straight cells.
     """
     geometry = cell_geometry(mesh)
     largest = max((float(np.abs(c).max()) for c in _corners(mesh, geometry.num_owned)), default=0.0)
@@ -46,10 +47,10 @@ def mesh_fingerprint(mesh: Mesh) -> str:
 
 
 def layout(mesh: Mesh) -> list[str]:
-    """A checksum for each rank of its cells, bit by bit and in their order (collective).
+    """Return a checksum of the cells of each rank, bit by bit and in their order. Collective.
 
     Args:
-        mesh: mesh of straight cells.
+        mesh: Mesh of straight cells.
     """
     geometry = cell_geometry(mesh)
     digest = hashlib.sha256()
@@ -60,14 +61,14 @@ def layout(mesh: Mesh) -> list[str]:
 
 
 def _corners(mesh: Mesh, count: int) -> Iterator[npt.NDArray[np.float64]]:
-    """Vertices of the first cells, ``(n_cells, n_vertices, d)``, some cells at a time [m]."""
+    """Yield vertices in m of the first cells in blocks, ``(n_cells, n_vertices, d)``."""
     nodes, x = _compat.geometry_dofmap(mesh), mesh.geometry.x
     for cells in cell_geometry(mesh).blocks(count):
         yield np.ascontiguousarray(x[nodes[cells]][:, :, : mesh.geometry.dim])
 
 
 def _mix(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Scatter the bits of each number (the finalizer of splitmix64)."""
+    """Mix the bits of each number (the finalizer of splitmix64)."""
     bits = bits + np.uint64(0x9E3779B97F4A7C15)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

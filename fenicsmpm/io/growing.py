@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Arrays in an HDF5 file that all ranks append to, without an HDF5 that knows of MPI.
+"""Arrays in an HDF5 file that all ranks append to, without parallel HDF5.
 
-Rank 0 makes the arrays longer and says where in the file their new rows are; each rank puts its own
-rows there by plain writes. HDF5 itself never writes to the disk: it crashes when it cannot, and
-does not care in which order what it changes gets there.
+Rank 0 extends the arrays and tells where their new rows are in the file. Each rank writes its own
+rows there by plain file operations. HDF5 itself never writes to the disk, for two reasons: it
+crashes if a write fails, and it does not define the order in which changes reach the disk.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ import numpy.typing as npt
 
 from fenicsmpm.io.skeleton import write_at
 
-LEAST_CHUNK, LARGEST_CHUNK = 1024, 2**22  # rows; HDF5 takes no chunks of 4 GB
+LEAST_CHUNK, LARGEST_CHUNK = 1024, 2**22  # rows; HDF5 does not allow chunks of 4 GB
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where rows of an array are in the file.
+    """Place of the rows of an array in the file.
 
     Attributes:
-        dtype: of the numbers in the file.
-        chunk: rows of a chunk.
-        first: number of the first chunk that is listed.
-        addresses: where chunks begin in the file [bytes].
+        dtype: Type of the numbers in the file.
+        chunk: Number of rows in a chunk.
+        first: Number of the first chunk in `addresses`.
+        addresses: Start of the chunks in the file in bytes.
     """
 
     dtype: np.dtype
@@ -41,15 +41,15 @@ class Place:
     addresses: list[int]
 
     def write(self, descriptor: int, begin: int, rows: npt.NDArray) -> None:
-        """Put rows where they belong.
+        """Write rows to their place.
 
         Args:
-            descriptor: of the file, open for writing.
-            begin: row of the array that is the first one of these.
-            rows: shape (n,) or (n, width).
+            descriptor: Descriptor of the file, open for writing.
+            begin: Row of the array to which the first of these rows belongs.
+            rows: Rows, shape (n,) or (n, width).
 
         Raises:
-            OSError: if they cannot be written.
+            OSError: If they cannot be written.
         """
         rows = np.ascontiguousarray(rows, self.dtype)
         done = 0
@@ -62,14 +62,14 @@ class Place:
 
 
 def add_array(group: Any, name: str, dtype: npt.DTypeLike, width: int | None, rows: int) -> None:
-    """Make an array without rows.
+    """Create an array without rows.
 
     Args:
-        group: of h5py, where it is to be.
-        name: of the array.
-        dtype: of its numbers.
-        width: numbers in a row; None for an array of one dimension.
-        rows: how many are appended at a time, about.
+        group: Group of h5py for the array.
+        name: Name of the array.
+        dtype: Type of its numbers.
+        width: Numbers in a row; None for an array of one dimension.
+        rows: Approximate number of rows that are appended at a time.
     """
     import h5py
 
@@ -84,18 +84,18 @@ def add_array(group: Any, name: str, dtype: npt.DTypeLike, width: int | None, ro
 
 
 def extend(path: Path, begins: Mapping[str, int], ends: Mapping[str, int]) -> dict[str, Place]:
-    """Give arrays the lengths that they will have (on one rank).
+    """Extend arrays to new lengths. Not collective.
 
     Args:
-        path: the file.
-        begins: for each array the rows that stay.
-        ends: its new length.
+        path: The file.
+        begins: Number of rows to keep, for each array.
+        ends: New number of rows, for each array.
 
     Returns:
-        Where the rows in between are to be written.
+        Places of the new rows.
 
     Raises:
-        OSError: if there is no room; the file is as it was.
+        OSError: If there is no room; the file stays as it was.
     """
     places = {}
     with edit(path) as file:
@@ -112,21 +112,21 @@ def extend(path: Path, begins: Mapping[str, int], ends: Mapping[str, int]) -> di
 
 @contextmanager
 def edit(path: Path, downwards: bool = False) -> Iterator[Any]:
-    """Open a file with h5py; what is changed gets to the disk at the end.
+    """Open a file with h5py; changes reach the disk at the end.
 
     Args:
-        path: the file.
-        downwards: what has been made first in the file changes last. Otherwise it changes first,
-            which is right where arrays get new chunks: HDF5 keeps the chunks of an array in a tree.
-            A node that is full is split: half of its entries go to a new node, and the node above,
-            which has a lower address as long as there are two levels (2000 chunks), is to point
-            there before the entries are taken from the old one.
+        path: The file.
+        downwards: Whether changes at low addresses are written last. By default they are written
+            first, which is right if arrays get new chunks. HDF5 keeps the chunks of an array in a
+            tree. If a node is full, half of its entries move to a new node. The node above must
+            point there before the entries are removed from the old node. It has a lower address
+            as long as there are two levels (2000 chunks).
 
     Yields:
         The file of h5py. After an exception nothing is changed.
 
     Raises:
-        OSError: if there is no room; the file is as it was.
+        OSError: If there is no room; the file stays as it was.
     """
     import h5py
 
@@ -138,10 +138,10 @@ def edit(path: Path, downwards: bool = False) -> Iterator[Any]:
 
 
 class _Changes(io.RawIOBase):
-    """A file as HDF5 sees it: what is on the disk, and above it what has been changed.
+    """A file as HDF5 sees it: the content of the disk, overlaid with the changes.
 
-    Additions at the end are saved first, as nothing points to them yet. Changes that are near to
-    one another are one write, so that the disk has all or none of them.
+    Additions at the end are saved first, as nothing points to them yet. Changes that are close to
+    each other are one write, so that either all or none of them reach the disk.
     """
 
     PAGE = 4096
@@ -188,7 +188,7 @@ class _Changes(io.RawIOBase):
         return self._size
 
     def save(self, downwards: bool) -> None:
-        """Let the disk have what was changed; see ``edit``."""
+        """Write the changes to the disk; see ``edit``."""
         descriptor = self._disk.fileno()
         more = self._size - self._size_on_disk
         if more > 0:
@@ -210,7 +210,7 @@ class _Changes(io.RawIOBase):
             write_at(descriptor, begin, content)
 
     def _parts(self, size: int) -> Iterator[tuple[slice, bytearray, int]]:
-        """Parts of so many bytes from here on that are in one page each: slice, page, offset."""
+        """Return parts of the next `size` bytes in one page each: slice, page, offset."""
         done = 0
         while done < size:
             number, offset = divmod(self._at, self.PAGE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Histories: numbers that are recorded at each step."""
+"""Histories: numbers recorded at each step."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ TIME = "t [s]"
 
 
 class History(Observer):
-    """Numbers that a run has at its beginning and after each step, and a CSV file of them.
+    """Numbers recorded at the beginning of a run and after each step, also in a CSV file.
 
-    ``history["tip [m]"]`` is what was recorded under a title, shape (n_rows,); ``io.plot`` draws
-    it. A program that is killed leaves its rows in the file. Above the titles, lines that begin
-    with # name the package's version and the parameters.
+    ``history["tip [m]"]`` returns the column of a title, shape (n_rows,); ``io.plot`` draws it.
+    Rows reach the file at once, so a killed program loses none. Lines above the titles begin with #
+    and name the version of the package and the parameters.
 
     Args:
-        columns: title of each column, with the unit, and the function of the simulation that gives
-            its number, such as ``{"tip [m]": lambda sim: probe(tip, "u")[1]}``. A first column
-            "t [s]" is always there.
-        path: file to write, such as "cook.csv"; missing directories are made. None for no file.
-        parameters: numbers and texts for the file, such as ``{"E [Pa]": 70.0}``.
-        append: go on with an earlier file, after a restart: rows up to the time at which the run
-            begins are kept.
-        comm: communicator of the mesh; rank 0 writes.
+        columns: Title of each column, with the unit, and the function of the simulation that
+            returns its number, such as ``{"tip [m]": lambda sim: probe(tip, "u")[1]}``. A first
+            column "t [s]" is added.
+        path: File to write, such as "cook.csv"; missing directories are created. None for no file.
+        parameters: Numbers and texts for the file, such as ``{"E [Pa]": 70.0}``.
+        append: Whether to continue an earlier file, after a restart. Rows up to the time at which
+            the run begins are kept.
+        comm: Communicator of the mesh; rank 0 writes.
 
     Raises:
-        ValueError: if there are no columns.
+        ValueError: If there are no columns.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class History(Observer):
         append: bool = False,
         comm: MPI.Intracomm = MPI.COMM_WORLD,
     ) -> None:
-        """Nothing is written before a run begins."""
+        """Set up the columns; nothing is written before a run begins."""
         if not columns:
             raise ValueError("a history needs columns: {'tip [m]': function of the simulation}")
         self._columns = {TIME: lambda sim: sim.time, **columns}
@@ -64,7 +64,7 @@ class History(Observer):
         self._is_open = False
 
     def _open(self, time: float) -> None:
-        """Start the file, and take what is kept of an earlier one (collective)."""
+        """Start the file, and read the rows of an earlier one that are kept. Collective."""
         rows = do_there(self._comm, self._comm.rank == 0, lambda: self._begin(time))
         self._rows = self._comm.bcast(rows)
         self._is_open = True
@@ -83,25 +83,25 @@ class History(Observer):
 
     @property
     def titles(self) -> list[str]:
-        """Titles of all columns, that of the time first."""
+        """Titles of all columns; the first one is the time."""
         return list(self._columns)
 
     def __getitem__(self, title: str) -> npt.NDArray[np.float64]:
-        """What was recorded under a title, shape (n_rows,)."""
+        """Return the numbers recorded under a title, shape (n_rows,)."""
         if title not in self._columns:
             raise KeyError(f"no column {title!r}; there are {', '.join(self.titles)}")
         k = self.titles.index(title)
         return np.array([row[k] for row in self._rows], dtype=np.float64)
 
     def begin(self, sim: Any) -> None:
-        """Record the state that a run begins with, unless it is known (collective).
+        """Record the state at the beginning of a run, unless it is recorded already. Collective.
 
         Args:
-            sim: the simulation.
+            sim: The simulation.
 
         Raises:
-            OSError: on all ranks, if the file cannot be written or read.
-            ValueError: on all ranks, if an earlier file has other columns.
+            OSError: On all ranks, if the file cannot be written or read.
+            ValueError: On all ranks, if an earlier file has other columns.
         """
         if not self._is_open:
             self._open(sim.time)
@@ -109,18 +109,23 @@ class History(Observer):
             self.write(sim)
 
     def done(self, sim: Any, step: Step) -> None:
-        """Record the state after a step."""
+        """Record the state after a step. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         self.write(sim)
 
     def write(self, sim: Any) -> None:
-        """Append a row (collective).
+        """Append a row. Collective.
 
         Args:
-            sim: what the functions of the columns get; it has a ``time`` [s].
+            sim: Argument of the columns' functions; its ``time`` in s is recorded, too.
 
         Raises:
-            OSError: on all ranks, if the file cannot be written.
-            TypeError: on all ranks, if a function does not give one number.
+            OSError: On all ranks, if the file cannot be written.
+            TypeError: On all ranks, if a function does not return one number.
         """
         if not self._is_open:
             self._open(sim.time)
@@ -137,7 +142,7 @@ class History(Observer):
         self._rows.append(row)
 
     def _earlier(self, path: Path, time: float) -> list[list[str]]:
-        """Rows of an earlier file up to a time."""
+        """Return the rows of an earlier file up to a time."""
         if not path.exists():
             return []
         titles, rows = _parse(path)
@@ -150,17 +155,17 @@ class History(Observer):
 
 
 def read_history(path: str | Path) -> dict[str, npt.NDArray[np.float64]]:
-    """Read what a ``History`` wrote, also while it is being written.
+    """Read the file of a ``History``, even while it is being written.
 
     Args:
-        path: the CSV file.
+        path: The CSV file.
 
     Returns:
-        For each title the numbers of its column, shape (n_rows,).
+        Numbers of each column by title, shape (n_rows,).
 
     Raises:
-        OSError: if the file cannot be read.
-        ValueError: if it is not such a file.
+        OSError: If the file cannot be read.
+        ValueError: If it is not the file of a history.
     """
     titles, rows = _parse(Path(path))
     values = np.array([[float(text) for text in row] for row in rows]).reshape(-1, len(titles))
@@ -168,7 +173,7 @@ def read_history(path: str | Path) -> dict[str, npt.NDArray[np.float64]]:
 
 
 def _parse(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Titles and rows; a last line that was cut short does not count."""
+    """Return titles and rows; an incomplete last line does not count."""
     with open(path, encoding="utf-8", newline="") as stream:
         lines = [line for line in stream if line.endswith("\n")]
     first = next((k for k, line in enumerate(lines) if not line.startswith("#")), None)

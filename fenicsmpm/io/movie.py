@@ -19,21 +19,23 @@ def animate(
     *,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Picture:
-    """Put pictures together to an animation, 10 a second, for ever (collective, rank 0 works).
+    """Combine pictures into an animation of 10 frames per second that repeats forever.
 
-    A notebook shows the animation if the call is the last line of a cell.
+    Collective; rank 0 does the work. A notebook shows the animation if the call is the last line
+    of a cell.
 
     Args:
-        path: file to write, ``.gif``.
-        frames: files of pictures of the same size, in order, or what `io.picture` returned.
-        comm: communicator of the mesh.
+        path: File to write, ``.gif``.
+        frames: Files of pictures of the same size, in order, or results of `io.picture`.
+        comm: Communicator of the mesh.
 
     Returns:
         The animation, which is printed as its path.
 
     Raises:
-        ValueError: on all ranks, without any frames, or for a file that is not ``.gif``.
-        OSError: on all ranks, for frames that cannot be read or a file that cannot be written.
+        ValueError: On all ranks, without frames, for frames that differ in size, or for a file
+            that is not ``.gif``.
+        OSError: On all ranks, for frames that cannot be read or a file that cannot be written.
     """
     do_there(comm, comm.rank == 0, lambda: _write(Path(path), frames))
     return Picture(path)
@@ -43,16 +45,16 @@ def _write(path: Path, frames: Sequence[str | PathLike[str]]) -> None:
     from PIL import Image
 
     if not frames or path.suffix != ".gif":
-        raise ValueError(f"{len(frames)} frames for {path}: a .gif needs at least one")
+        raise ValueError(f"{path} needs the suffix .gif and at least one frame, not {len(frames)}")
     images = [Image.open(frame).convert("P", palette=Image.Palette.ADAPTIVE) for frame in frames]
     size = images[0].size
     if any(image.size != size for image in images):
-        raise ValueError("the frames differ in size: give all pictures the same bounds")
+        raise ValueError("all frames must have the same size: give all pictures the same bounds")
     path.parent.mkdir(parents=True, exist_ok=True)
     images[0].save(
         path,
         save_all=True,
         append_images=images[1:],
-        duration=100,  # ms a frame
+        duration=100,  # ms per frame
         loop=0,
     )

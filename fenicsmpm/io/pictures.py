@@ -25,7 +25,7 @@ from fenicsmpm.io.results import gather_cells, gather_functions, gather_points
 from fenicsmpm.points import MaterialPoints, drawing
 from fenicsmpm.points.agreement import do_there
 
-if TYPE_CHECKING:  # it takes a second to import: only where it is needed
+if TYPE_CHECKING:  # the import takes a second
     import pyvista
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -37,10 +37,10 @@ Drawable: TypeAlias = (
 _POINTS = (MaterialPoints, Sequence)
 _COLOURS = "viridis"
 _ONE_COLOUR, _LINES = "tab:blue", "silver"
-# Diameter of a point by the distance of its neighbours, with colours and without
+# Diameter of a point divided by the distance of its neighbours, with colours and without
 _DOT, _SMALL_DOT = 1.1, 0.5
-_PIXELS = 1200  # larger side of a panel as rendered; drawn on half of them, which smooths edges
-_INCHES = 3.75  # the same on paper
+_PIXELS = 1200  # larger side of a rendered panel; drawn on half as many, which smooths edges
+_INCHES = 3.75  # larger side of a panel on paper
 
 
 @dataclass
@@ -52,10 +52,10 @@ class _Panel:
     field: str | None
     component: int | None = None
     displacement: str | None = None
-    grid: pyvista.DataSet | None = None  # cells to be drawn behind
+    grid: pyvista.DataSet | None = None  # cells drawn in the background
 
     def values(self) -> Array:
-        """Numbers to be coloured, one a point or node."""
+        """Return the values to be coloured, one for each point or node."""
         assert self.data is not None and self.field is not None
         if self.field not in self.data.point_data:
             raise ValueError(_unknown(self.field, self.data))
@@ -66,8 +66,8 @@ class _Panel:
             return np.linalg.norm(values, axis=1)
         if not 0 <= self.component < values.shape[1]:
             raise ValueError(
-                f"field {self.field!r} has the components 0 to {values.shape[1] - 1}, not "
-                f"{self.component}"
+                f"component {self.component} does not exist: field {self.field!r} has "
+                f"components 0 to {values.shape[1] - 1}"
             )
         return values[:, self.component]
 
@@ -89,40 +89,41 @@ def picture(
     bounds: Bounds | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Picture:
-    """Draw one field of points or a grid function and write the picture to a file (collective).
+    """Draw one field of points or a grid function and write the picture to a file. Collective.
 
-    Several data are drawn beside one another, with one colour bar. Plane problems are seen from the
-    front with axes in m, others obliquely. Rank 0 draws. Where VTK needs an X server and there is
-    none, a virtual one (Xvfb) runs while it draws. A notebook shows the picture if the call is the
-    last line of a cell.
+    Several datasets are drawn beside each other, with one colour bar. 2D problems are seen from the
+    front with axes in m, 3D problems obliquely. Rank 0 draws. If VTK needs an X server and there is
+    none, a virtual one (Xvfb) runs meanwhile. A notebook shows the picture if the call is the last
+    line of a cell.
 
     Args:
-        path: file to write, such as "pressure.png"; missing directories are made. None for a
-            picture that a notebook shows without a file.
-        data: points, several sets of points that are drawn as one, a P1 function, or what
-            ``gather_points`` or ``gather_functions`` returned at an earlier time; or titles and
-            these, for several pictures.
-        field: name of the field that gives the colours; of vectors and tensors it is the norm, and
-            what is not a number is grey. None for the field of a function, and for points in one
-            colour, in the plane with the cells of their mesh.
-        label: text beside the colour bar, with the unit; None for the name of the field.
-        component: component to show instead of the norm, of 3 of a vector or 9 of a tensor.
-        displacement: name of a vector field [m] by which the picture is deformed; None for the
+        path: File to write, such as "pressure.png"; missing directories are created. None for a
+            picture in a notebook without a file.
+        data: Points, a sequence of point sets drawn as one, a P1 function, or an earlier result of
+            ``gather_points`` or ``gather_functions``. A mapping from titles to any of these gives
+            several panels.
+        field: Name of the field that gives the colours. Vectors and tensors are shown by their
+            norm, values that are not a number in grey. None for the values of a function; points
+            are then drawn in one colour, in 2D with the cells of their mesh.
+        label: Text beside the colour bar, with the unit; None for the name of the field.
+        component: Component shown instead of the norm, from 0 to 2 of a vector or 0 to 8 of a
+            tensor.
+        displacement: Name of a vector field in m by which the picture is deformed; None for the
             positions as they are.
-        limits: values of the first and the last colour; None for the range of all data.
-        cut: percent of the values of each of the data that ``limits=None`` leaves out at either
-            end, so that singular points do not take all the colours.
-        bounds: lower and upper corner of the box to show [m], the same for all pictures of an
-            animation; None for that of the data.
-        comm: communicator of the mesh.
+        limits: Values of the first and the last colour; None for the range of all data.
+        cut: Percentage of the values of each dataset that ``limits=None`` leaves out at either
+            end, so that singular points do not use up the colour range.
+        bounds: Lower and upper corner of the visible box in m, the same for all pictures of an
+            animation; None for those of the data.
+        comm: Communicator of the mesh.
 
     Returns:
         The picture, which is printed as its path.
 
     Raises:
-        RuntimeError: on all ranks, if nothing can render; says what to install.
-        ValueError: on all ranks, for fields or components that the data do not have, functions that
-            ``gather_functions`` does not take, and where no field is named.
+        RuntimeError: On all ranks, if rendering is impossible; says what to install.
+        ValueError: On all ranks, for fields or components that the data do not have, functions that
+            ``gather_functions`` does not take, and if the field is ambiguous.
     """
     named = data if isinstance(data, Mapping) else {"": data}
     if not named:
@@ -131,7 +132,7 @@ def picture(
     plain = field is None and all(isinstance(one, _POINTS) for one in named.values())
     if not plain and field is None and None in names:
         raise ValueError(
-            f"{path or 'picture'}: which field is to be drawn? Name it, as in field='p'"
+            f"{path or 'picture'}: which field should be drawn? Name it, as in field='p'"
         )
     panels = [
         _Panel(title, _gathered(one), field or name, component, displacement, _cells(one, plain))
@@ -152,7 +153,7 @@ drawing.picture = picture
 
 
 def _cells(data: Drawable, plain: bool) -> pyvista.DataSet | None:
-    """Cells behind points that are drawn in one colour; in space they would hide them."""
+    """Return the cells behind points drawn in one colour; in 3D they would hide the points."""
     first = data[0] if isinstance(data, Sequence) else data
     if plain and isinstance(first, MaterialPoints) and first.geometry.dim == 2:
         return gather_cells(first.mesh)
@@ -168,7 +169,7 @@ def _gathered(data: Drawable) -> pyvista.DataSet | None:
 
 
 def _colour_range(values: Sequence[Array], cut: float = 0.0) -> tuple[float, float]:
-    """Range of values of some panels, without some percent of each at either end."""
+    """Return the range of values of some panels, without a percentage of each at either end."""
     ends = np.array([np.nanpercentile(one, [cut, 100 - cut]) for one in values])
     return float(ends[:, 0].min()), float(ends[:, 1].max())
 
@@ -213,7 +214,7 @@ def _draw(
     inches = _INCHES / max(height, width)
     columns = len(panels) if len(panels) <= 4 else int(np.ceil(np.sqrt(len(panels))))
     if width > 2 * height:
-        columns = 1  # flat ones below one another
+        columns = 1  # flat panels below each other
     rows = -(-len(panels) // columns)
     size = (columns * (width * inches + 0.15) + 1.2, rows * (height * inches + 0.4) + 0.5)
     figure = Figure(figsize=size, layout="constrained")
@@ -243,7 +244,7 @@ def _draw(
 
 
 def _cut(values: Sequence[Array], limits: tuple[float, float]) -> str:
-    """Which ends of the colour bar stand for values beyond it."""
+    """Return which ends of the colour bar stand for values beyond it."""
     low, high = _colour_range(values)
     span = 1e-9 * (limits[1] - limits[0])
     below, above = low < limits[0] - span, high > limits[1] + span
@@ -251,7 +252,7 @@ def _cut(values: Sequence[Array], limits: tuple[float, float]) -> str:
 
 
 def _shape(panel: _Panel) -> Any:
-    """Points or cells of a panel without data, in the positions to be drawn."""
+    """Return points or cells of a panel without data, at the positions to be drawn."""
     assert panel.data is not None
     shape = panel.data.copy(deep=False)
     shape.clear_data()
@@ -270,9 +271,9 @@ def _image_of_plane(
     upper: Array,
     grid: pyvista.DataSet | None,
 ) -> npt.NDArray[np.uint8]:
-    """Image of exactly the box from lower to upper, seen from the front."""
+    """Return an image of exactly the box from lower to upper, seen from the front."""
     size = (upper - lower)[:2]
-    scale = _PIXELS / size.max()  # pixels a m
+    scale = _PIXELS / size.max()  # pixels per m
     window = [max(1, round(s)) for s in scale * size]
     with _plotter(shape, values, limits, window, scale * _spacing(shape), False) as plotter:
         if grid is not None:
@@ -293,10 +294,10 @@ def _image_of_space(
     lower: Array,
     upper: Array,
 ) -> npt.NDArray[np.uint8]:
-    """Image of the box from lower to upper, seen obliquely, as large as the box appears."""
+    """Return an image of the box from lower to upper, seen obliquely, as large as it appears."""
     x, y, z = upper - lower
     size = np.array([(x + y) / np.sqrt(2), (x + y + 2 * z) / np.sqrt(6)])  # isometric view
-    scale = _PIXELS / size.max()  # pixels a m
+    scale = _PIXELS / size.max()  # pixels per m
     window = [max(1, round(s)) for s in scale * size]
     with _plotter(shape, values, limits, window, scale * _spacing(shape), True) as plotter:
         plotter.add_axes()
@@ -318,7 +319,7 @@ def _plotter(
     point_size: float,
     lighting: bool,
 ) -> Iterator[Any]:
-    """A plotter with the coloured shape in it, in parallel projection."""
+    """Yield a plotter with the coloured shape, in parallel projection."""
     import pyvista
 
     dot = _SMALL_DOT if values is None else _DOT
@@ -335,7 +336,7 @@ def _plotter(
             lighting=lighting,
             ambient=0.4 if lighting else 0.0,
             diffuse=0.6 if lighting else 1.0,
-            # small ones overlap more: gaps of less than a pixel would be a moire
+            # small points overlap more: gaps of less than a pixel would give a moire pattern
             point_size=max(dot * point_size, min(1.5 * point_size, 6.0), 2.0),
             render_points_as_spheres=True,
         )
@@ -346,10 +347,10 @@ def _plotter(
 
 
 def _spacing(shape: Any) -> float:
-    """Distance of neighbours [m]: in a lattice, 3^d - 1 points are within sqrt(d) of it."""
+    """Return the distance of neighbours in m: in a lattice, 3^d - 1 points are within sqrt(d)."""
     x = shape.points
     dim = np.count_nonzero(np.ptp(x, axis=0))
-    neighbours = min(3**dim, len(x))  # with the point itself
+    neighbours = min(3**dim, len(x))  # including the point itself
     if neighbours < 2:
         return 0.0
     some = x[:: len(x) // 1000 + 1]
@@ -366,11 +367,11 @@ def _display() -> Iterator[None]:
     command = shutil.which("Xvfb")
     if command is None:
         raise RuntimeError(
-            "pictures cannot be rendered: this VTK draws on X only, DISPLAY is not set, and there "
-            "is no Xvfb. Install Xvfb (Debian: apt install xvfb) or VTK >= 9.4 from PyPI"
+            "pictures cannot be rendered: this VTK needs an X server, but DISPLAY is not set and "
+            "there is no Xvfb. Install Xvfb (Debian: apt install xvfb) or VTK >= 9.4 from PyPI"
         )
     read, write = os.pipe()
-    # the shell ends the server when its input ends: then we are done, or were killed
+    # the shell ends the server when its input ends: when we are done, or were killed
     options = f"-displayfd {write} -screen 0 1280x1024x24 -nolisten tcp -noreset"
     server = subprocess.Popen(
         ["sh", "-c", f"'{command}' {options} & read _; kill $!; wait"],
@@ -394,7 +395,7 @@ def _display() -> Iterator[None]:
 
 
 def _needs_x_server() -> bool:
-    """Whether VTK was built for X and cannot do without: from 9.4 on it finds other ways."""
+    """Return whether VTK was built for X and needs it: from 9.4 on it finds other ways."""
     import pyvista
     import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  # brings the class that draws
     from vtkmodules.vtkRenderingCore import vtkRenderWindow

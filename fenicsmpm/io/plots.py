@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plots of histories and of other curves."""
+"""Plots of histories and other curves."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ def plot(
     reference: Mapping[str, Curve | float] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Picture:
-    """Draw curves into one diagram and write it to a file (collective, rank 0 draws).
+    """Draw curves in one diagram and write it to a file. Collective; rank 0 draws.
 
     A notebook shows the diagram if the call is the last line of a cell.
 
     Args:
-        path: file to write, such as "tip.png"; missing directories are made.
-        curves: a history, of which each column is drawn over the time; or the label of each curve,
-            and its ``x (n,)`` and ``y (n,)`` or a history of one column.
-        xlabel: text at the axis of x, with the unit; None for that of histories.
-        ylabel: text at the axis of y, with the unit; None for the title of a history's one column.
-        reference: what to compare with, drawn in broken lines: curves, or one value for all x.
-        comm: communicator of the mesh.
+        path: File to write, such as "tip.png"; missing directories are created.
+        curves: A history, each column of which is drawn over time; or a mapping from the label of
+            each curve to its values ``x (n,)`` and ``y (n,)``, or to a history of one column.
+        xlabel: Text at the x axis, with the unit; None for that of histories.
+        ylabel: Text at the y axis, with the unit; None for the title of a history's one column.
+        reference: Reference results, drawn as dashed lines: curves, or one value for all x.
+        comm: Communicator of the mesh.
 
     Returns:
         The diagram, which is printed as its path.
 
     Raises:
-        OSError: on all ranks, if the file cannot be written.
-        ValueError: on all ranks, if the x and y of a curve differ in number, a history has several
+        OSError: On all ranks, if the file cannot be written.
+        ValueError: On all ranks, if the x and y of a curve differ in number, a history has several
             columns where one is needed, or an axis has no text.
     """
     if isinstance(curves, History):
@@ -68,11 +68,11 @@ def plot(
 
 
 def _one_column(label: str, history: History) -> tuple[str, str]:
-    """Titles of the time and of the only column."""
+    """Return the titles of the time and of the only column."""
     time, title, *more = history.titles
     if more:
         raise ValueError(
-            f"{label!r} is a history of several columns: say which, as in "
+            f"{label!r} is a history of several columns: choose one, as in "
             f"{{{label!r}: (history[{time!r}], history[{title!r}])}}"
         )
     return time, title

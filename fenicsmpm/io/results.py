@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Results on rank 0 and in files: points and grid functions as pyvista datasets.
+"""Points and grid functions as pyvista datasets on rank 0, and files of these.
 
-``gather_points`` and ``gather_functions`` collect what the ranks have in one dataset; ``write``
+``gather_points`` and ``gather_functions`` collect the data of all ranks in one dataset. ``write``
 saves it for ParaView, ``picture`` draws it. A dataset does not depend on the number of ranks.
 """
 
@@ -26,21 +26,22 @@ from fenicsmpm.io.atomic import replace
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import do_there
 
-if TYPE_CHECKING:  # it takes a second to import: only where it is needed
+if TYPE_CHECKING:  # the import takes a second
     import pyvista
 
 
 def gather_points(
     points: MaterialPoints | Sequence[MaterialPoints],
 ) -> pyvista.PolyData | None:
-    """Collect material points with all their fields (collective).
+    """Collect material points with all their fields. Collective.
 
     Args:
-        points: the point set, or several, of which the fields that all have are collected.
+        points: One point set or several. Of several sets, the fields that all of them have are
+            collected.
 
     Returns:
         On rank 0 the points in the order of their ids, with the point data "id", "tag", "weight"
-        and all fields; vectors have three components and tensors nine (row by row), as ParaView
+        and all fields. Vectors have three components and tensors nine (row by row), as ParaView
         expects them. None on the other ranks.
     """
     if not isinstance(points, MaterialPoints):
@@ -53,9 +54,9 @@ def gather_points(
 
 
 def names_of_points(bodies: Sequence[MaterialPoints]) -> list[str]:
-    """What all sets of points have to show beside positions.
+    """Return the names of the arrays that all point sets have, except positions.
 
-    Laws without state have a field without numbers, which VTK does not know.
+    Laws without state have a field without numbers, which VTK cannot handle.
     """
     first, *others = bodies
     fields = [
@@ -73,30 +74,30 @@ def _point_cloud(names: list[str], parts: list[dict[str, npt.NDArray]]) -> pyvis
     order = np.argsort(data["id"])
     result = pyvista.PolyData(in_space(data.pop("x")[order]))
     for name, values in data.items():
-        if values.size > 0:  # pyvista takes no empty arrays
+        if values.size > 0:  # pyvista does not accept empty arrays
             result.point_data[name] = in_space(values[order])
     return result
 
 
 def gather_functions(functions: Sequence[fem.Function]) -> pyvista.UnstructuredGrid | None:
-    """Collect P1 functions and their mesh (collective).
+    """Collect P1 functions and their mesh. Collective.
 
     Args:
-        functions: Lagrange functions of degree 1 (or Q1) on one mesh of straight cells; parts of
-            a mixed function are to be collapsed first.
+        functions: Lagrange functions of degree 1 (or Q1) on one mesh of straight cells. Parts of
+            a mixed function must be collapsed first.
 
     Returns:
-        On rank 0 the mesh in its input order, each function as point data under its name; vectors
-        have three components and tensors nine. None on the other ranks.
+        On rank 0 the mesh in its input order, with each function as point data under its name.
+        Vectors have three components and tensors nine. None on the other ranks.
 
     Raises:
-        ValueError: for other spaces, several meshes, or names that occur twice.
+        ValueError: For other spaces, several meshes, or names that occur twice.
     """
     return _gather(check_functions(functions), functions)
 
 
 def gather_cells(mesh: Mesh) -> pyvista.UnstructuredGrid | None:
-    """Collect a mesh of straight cells without values (collective), as ``gather_functions``."""
+    """Collect a mesh of straight cells without values, as ``gather_functions``. Collective."""
     return _gather(mesh, [])
 
 
@@ -132,19 +133,19 @@ def write(
     parameters: Mapping[str, Any] | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> None:
-    """Write a gathered dataset for ParaView: ".vtp" for points, ".vtu" for a mesh (collective).
+    """Write a gathered dataset for ParaView: ".vtp" for points, ".vtu" for a mesh. Collective.
 
-    The package's version and the parameters are stored in it as field data.
+    The version of the package and the parameters are stored in it as field data.
 
     Args:
-        path: name of the file; missing directories are made.
-        data: what ``gather_points`` or ``gather_functions`` returned.
-        parameters: numbers and texts that made the result, such as ``{"E [Pa]": 70.0}``.
-        comm: communicator of the mesh.
+        path: Name of the file; missing directories are created.
+        data: Result of ``gather_points`` or ``gather_functions``.
+        parameters: Numbers and texts that describe the run, such as ``{"E [Pa]": 70.0}``.
+        comm: Communicator of the mesh.
 
     Raises:
-        OSError: on all ranks, if the file cannot be written; an older one is as it was.
-        ValueError: on all ranks, if the suffix does not fit the data.
+        OSError: On all ranks, if the file cannot be written; an older one stays as it was.
+        ValueError: On all ranks, if the suffix does not fit the data.
     """
     do_there(comm, data is not None, lambda: _save(Path(path), data, parameters or {}))
 
@@ -155,7 +156,7 @@ def _save(path: Path, data: pyvista.DataSet | None, parameters: Mapping[str, Any
     assert data is not None
     suffix = ".vtp" if isinstance(data, pyvista.PolyData) else ".vtu"
     if path.suffix != suffix:
-        raise ValueError(f"{path}: the name of a file of {type(data).__name__} ends in {suffix}")
+        raise ValueError(f"{path}: a file of {type(data).__name__} needs the suffix {suffix}")
     path.parent.mkdir(parents=True, exist_ok=True)
     file: Any = data.copy(deep=False)
     file.field_data["fenicsmpm version"] = [fenicsmpm.__version__]
@@ -165,7 +166,7 @@ def _save(path: Path, data: pyvista.DataSet | None, parameters: Mapping[str, Any
 
 
 def _bytes_of(data: pyvista.DataSet, suffix: str) -> bytes:
-    """What VTK would write to a file. It says on standard error only if it cannot."""
+    """Return what VTK would write to a file. VTK itself reports failures on standard error only."""
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
     writer: Any = vtkXMLPolyDataWriter() if suffix == ".vtp" else vtkXMLUnstructuredGridWriter()
@@ -177,13 +178,13 @@ def _bytes_of(data: pyvista.DataSet, suffix: str) -> bytes:
 
 
 def check_functions(functions: Sequence[fem.Function]) -> Any:
-    """The mesh of functions, or a ValueError as of ``gather_functions``."""
+    """Return the mesh of functions; raise ValueError as ``gather_functions`` does."""
     if not functions:
-        raise ValueError("no functions to gather")
+        raise ValueError("no functions to gather: pass at least one")
     mesh = functions[0].function_space.mesh
     names = [f.name for f in functions]
     if len(set(names)) != len(names):
-        raise ValueError(f"functions need names of their own, not {', '.join(names)}: set f.name")
+        raise ValueError(f"functions need different names, not {', '.join(names)}: set f.name")
     for f in functions:
         element = f.function_space.ufl_element()
         if not is_linear(element):
@@ -199,7 +200,7 @@ def check_functions(functions: Sequence[fem.Function]) -> Any:
 
 
 def at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
-    """Values at the local geometry nodes, (n_nodes, *shape)."""
+    """Return values at the local geometry nodes, (n_nodes, *shape)."""
     space = f.function_space
     nodes = _compat.geometry_dofmap(space.mesh)
     size = space.dofmap.index_map_bs
@@ -209,7 +210,7 @@ def at_nodes(f: fem.Function) -> npt.NDArray[np.float64]:
 
 
 def in_space(values: npt.NDArray) -> npt.NDArray:
-    """Vectors and tensors of the plane as those of space, (n, 3), tensors flattened, (n, 9)."""
+    """Return 2D vectors and tensors as 3D ones, (n, 3) and flattened (n, 9)."""
     for axis in range(1, values.ndim):
         if values.shape[axis] == 2:
             values = np.insert(values, 2, 0.0, axis=axis)

@@ -20,9 +20,9 @@ Shown: TypeAlias = MaterialPoints | Sequence[MaterialPoints] | fem.Function | Se
 
 
 class Series(Observer):
-    """Points with their fields, or grid functions, at several times of an observed run.
+    """Points with their fields, or grid functions, at several times of a run.
 
-    All ranks write into one file, each what it has. ParaView (5.12 or newer) opens it, and so does
+    All ranks write their own data into one file. ParaView (5.12 or newer) opens it, and so does
     pyvista, here at the last time::
 
         reader = pyvista.HDFReader("cook.vtkhdf").reader  # VTK's own
@@ -31,29 +31,30 @@ class Series(Observer):
         reader.Update()
         cloud = pyvista.wrap(reader.GetOutput())  # its time is cloud.field_data["Time"]
 
-    The points stand in the order of the ranks, which changes as they move; "id" says which is
-    which. Vectors have three components, tensors nine (row by row). Slashes and dots in names
-    become underscores, as in VTK's own files.
+    Points are in the order of the ranks, which changes as they move; "id" identifies them. Vectors
+    have three components, tensors nine (row by row). Slashes and dots in names become underscores,
+    as in VTK's own files.
 
-    The file is complete after each ``write``: ParaView can open it while the program runs or after
-    it was killed, also in the middle of a ``write`` (up to some 2000 writes; beyond, a kill within
-    a few microseconds can spoil it). A file of the same name is replaced by the first ``write``.
+    The file is complete after each ``write``. ParaView can open it while the program runs, or after
+    the program was killed, even in the middle of a ``write``. (After some 2000 writes, a kill
+    within a few microseconds can damage it.) The first ``write`` replaces a file of the same name.
 
     Args:
-        path: the file, such as "cook.vtkhdf"; missing directories are made.
-        data: the point set, or several, of which the fields that all have are written; P1 functions
-            on one mesh; or a function of the simulation that gives one of these, such as
-            ``lambda sim: sim.bodies[0]``. The series can then go from one simulation to another.
-        parameters: numbers and texts stored in the file, such as ``{"E [Pa]": 70.0}``.
-        fields: names of those to write, such as ``("u", "p")``; None for all that are there at the
-            first ``write``, with "tag" and "weight", or in an earlier series. The "id" of points is
-            always written.
-        every: time between two writes [s]; None for the beginning and each step.
-        append: go on with an earlier series, after a restart: what it wrote up to the time at which
-            the run begins is kept.
+        path: File to write, such as "cook.vtkhdf"; missing directories are created.
+        data: One point set or several, of which the fields that all have are written; or P1
+            functions on one mesh; or a function of the simulation that returns one of these, such
+            as ``lambda sim: sim.bodies[0]``. With a function, the series can continue from one
+            simulation to the next.
+        parameters: Numbers and texts stored in the file, such as ``{"E [Pa]": 70.0}``.
+        fields: Names of the fields to write, such as ``("u", "p")``. None for all that exist at
+            the first ``write``, with "tag" and "weight", or for those of an earlier series. The
+            "id" of points is always written.
+        every: Time between two writes in s; None for the beginning and each step.
+        append: Whether to continue an earlier series, after a restart. What it wrote up to the
+            time at which the run begins is kept.
 
     Raises:
-        ValueError: for names that do not end in .vtkhdf, and without data.
+        ValueError: For names that do not end in .vtkhdf, and without data.
     """
 
     def __init__(
@@ -66,10 +67,10 @@ class Series(Observer):
         every: float | None = None,
         append: bool = False,
     ) -> None:
-        """Nothing is written before the first time."""
+        """Set up the series; nothing is written before the first time."""
         path = Path(path)
         if path.suffix != ".vtkhdf":
-            raise ValueError(f"{path}: the name of a series ends in .vtkhdf")
+            raise ValueError(f"{path}: a series needs the suffix .vtkhdf")
         if isinstance(data, MaterialPoints | fem.Function | Sequence):
             shown = data
             _share(shown)
@@ -84,20 +85,20 @@ class Series(Observer):
 
     @property
     def times(self) -> list[float]:
-        """Times written so far [s]."""
+        """Times written so far, in s."""
         return self._file.times
 
     def write(self, time: float, sim: Any = None) -> None:
-        """Write the data as they are now (collective).
+        """Write the current data. Collective.
 
         Args:
-            time: [s], later than those written so far.
-            sim: what ``data`` gets, if that is a function.
+            time: Time in s, later than those written so far.
+            sim: Argument of ``data``, if that is a function.
 
         Raises:
-            OSError: on all ranks, if the file cannot be written; what is there remains.
-            ValueError: on all ranks, for times that do not grow, fields that are not there, and a
-                file to go on with that has others; see also ``gather_functions``.
+            OSError: On all ranks, if the file cannot be written; earlier times remain.
+            ValueError: On all ranks, for times that do not grow, fields that do not exist, and an
+                earlier file with other fields; see also ``gather_functions``.
         """
         share = _share(self._data(sim))
         if not self._is_open:
@@ -116,14 +117,14 @@ class Series(Observer):
         self._grid, self._fields = share.grid, names
 
     def begin(self, sim: Any) -> None:
-        """Write the state that a first run begins with, unless it is there (collective).
+        """Write the state at the beginning of a run, unless it is there already. Collective.
 
         Args:
-            sim: the simulation.
+            sim: The simulation.
 
         Raises:
-            OSError: on all ranks, if the file cannot be written, or an earlier one not be read.
-            ValueError: on all ranks, for an earlier file that is no series.
+            OSError: On all ranks, if the file cannot be written, or an earlier one cannot be read.
+            ValueError: On all ranks, for an earlier file that is no series.
         """
         if self._has_begun:
             return
@@ -134,12 +135,17 @@ class Series(Observer):
         self._has_begun = True
 
     def done(self, sim: Any, step: Step) -> None:
-        """Write the state after a step, if it is time."""
+        """Write the state after a step, if it is due. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if is_until(self.times[-1] + self._every, step.time):
             self.write(step.time, sim)
 
     def _open(self, share: PointShare | FunctionShare, end: float) -> None:
-        """Take the times of an earlier series that are kept (collective)."""
+        """Read which times of an earlier series are kept. Collective."""
         if self._append:
             self._file.resume(share.comm, end)
             there = [name for name in share.names if plain(name) in self._file.names]
@@ -148,26 +154,26 @@ class Series(Observer):
         self._is_open = True
 
     def _chosen(self, share: PointShare | FunctionShare) -> list[str]:
-        """Names of what is written."""
+        """Return the names of the fields to write."""
         if self._fields is None:
             self._fields = share.names
         if missing := [name for name in self._fields if name not in share.names]:
             raise ValueError(
-                f"no {', '.join(missing)} to write; there are {', '.join(share.names)}"
+                f"fields {', '.join(missing)} do not exist; available are {', '.join(share.names)}"
             )
         names = [name for name in share.names if name == "id" or name in self._fields]
         if len({plain(name) for name in names}) < len(names):
-            raise ValueError(f"names that are the same in the file: {', '.join(names)}")
+            raise ValueError(f"names must differ in the file: {', '.join(names)}; rename fields")
         return names
 
 
 def _share(shown: Shown) -> PointShare | FunctionShare:
-    """What this rank has of the data."""
+    """Return this rank's part of the data."""
     every = [shown] if isinstance(shown, MaterialPoints | fem.Function) else list(shown)
     if not every:
         raise ValueError("a series needs a point set or one or more functions")
     bodies = [one for one in every if isinstance(one, MaterialPoints)]
     functions = [one for one in every if isinstance(one, fem.Function)]
     if len(every) not in (len(bodies), len(functions)):
-        raise TypeError(f"a series has point sets or functions, not {every}")
+        raise TypeError(f"a series needs point sets or functions, not {every}")
     return PointShare(bodies) if bodies else FunctionShare(functions)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a rank has of points or grid functions, in the form in which VTK shows it."""
+"""One rank's part of points or grid functions, in the form of VTK."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ from fenicsmpm.io.results import at_nodes, check_functions, in_space, names_of_p
 from fenicsmpm.io.vtkhdf import Cells
 from fenicsmpm.points import MaterialPoints
 
-VERTEX = 1  # VTK's number of the type
+VERTEX = 1  # VTK's number of this cell type
 
 
 class PointShare:
     """This rank's points of one set or several.
 
     Args:
-        bodies: the sets; of several one after the other, with the fields that all have.
+        bodies: The sets, one after the other, with the fields that all have.
 
     Attributes:
-        comm: communicator of the ranks.
-        names: of what is there beside positions, "id" first.
-        grid: what decides whether cells are those of another time.
-        moves: whether positions change.
+        comm: Communicator of the ranks.
+        names: Names of the arrays except positions, "id" first.
+        grid: Value that differs if cells differ from those of another time.
+        moves: Whether positions change.
     """
 
     moves = True
 
     def __init__(self, bodies: Sequence[MaterialPoints]) -> None:
-        """Take them as they are."""
+        """Take the points as they are."""
         self._bodies = bodies
         self.comm: MPI.Intracomm = bodies[0].mesh.comm
         self.names = names_of_points(bodies)
         self.grid: Mesh | int = sum(body.size_global for body in bodies)
 
     def x(self) -> npt.NDArray[np.float64]:
-        """Positions, shape (n, 3) [m]."""
+        """Return positions in m, shape (n, 3)."""
         return self.values("x")
 
     def cells(self) -> Cells:
-        """A vertex for each point (collective)."""
+        """Return a vertex for each point. Collective."""
         n = sum(len(body) for body in self._bodies)
         begin = sum(self.comm.allgather(n)[: self.comm.rank])
         return Cells(np.arange(begin, begin + n, dtype=np.int64).reshape(-1, 1), VERTEX)
 
     def values(self, name: str) -> npt.NDArray:
-        """Values of a field, shape (n,) or (n, width)."""
+        """Return values of a field, shape (n,) or (n, width)."""
         parts = [in_space(np.asarray(body[name])) for body in self._bodies]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
@@ -65,19 +65,19 @@ class FunctionShare:
         functions: Lagrange functions of degree 1 (or Q1) on one mesh of straight cells.
 
     Attributes:
-        comm: communicator of the ranks.
-        names: of the functions.
-        grid: what decides whether cells are those of another time.
-        moves: whether positions change.
+        comm: Communicator of the ranks.
+        names: Names of the functions.
+        grid: Value that differs if cells differ from those of another time.
+        moves: Whether positions change.
 
     Raises:
-        ValueError: see ``gather_functions``.
+        ValueError: As for ``gather_functions``.
     """
 
     moves = False
 
     def __init__(self, functions: Sequence[fem.Function]) -> None:
-        """Take them as they are."""
+        """Take the functions as they are."""
         self.grid: Mesh | int = check_functions(functions)
         self._mesh = functions[0].function_space.mesh
         self._functions = {f.name: f for f in functions}
@@ -86,11 +86,11 @@ class FunctionShare:
         self._n = self._mesh.geometry.index_map().size_local
 
     def x(self) -> npt.NDArray[np.float64]:
-        """Positions, shape (n, 3) [m]."""
+        """Return positions in m, shape (n, 3)."""
         return self._mesh.geometry.x[: self._n]
 
     def cells(self) -> Cells:
-        """The mesh's cells."""
+        """Return the cells of the mesh."""
         cells, types, _ = plot.vtk_mesh(self._mesh)
         n_nodes = _compat.geometry_dofmap(self._mesh).shape[1]
         nodes = cells.reshape(-1, n_nodes + 1)[:, 1:].astype(np.int32)
@@ -99,5 +99,5 @@ class FunctionShare:
         return Cells(np.asarray(numbers, np.int64).reshape(-1, n_nodes), kind)
 
     def values(self, name: str) -> npt.NDArray:
-        """Values of a function, shape (n,) or (n, width)."""
+        """Return values of a function, shape (n,) or (n, width)."""
         return in_space(at_nodes(self._functions[name])[: self._n])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""HDF5 files without their numbers, which ranks then write side by side with plain POSIX calls.
+"""HDF5 files without their numbers, which ranks then write in parallel by plain POSIX calls.
 
-So HDF5 itself needs no MPI, no rank holds what others have, and a full disk is an error of the
-system: HDF5 cannot close a file that it could not write, and crashes in the end.
+HDF5 itself thus needs no MPI, no rank holds the data of others, and a full disk gives an error of
+the operating system. HDF5 could not close a file that it failed to write, and would crash later.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ import numpy as np
 import numpy.typing as npt
 
 _PAGE = 4096
-# A call of the system writes 2 GB at most
+# A system call writes 2 GB at most
 _AT_ONCE = 1 << 30
 
 
 class Pages(io.RawIOBase):
-    """A file in memory of which only those pages take room that are written.
+    """A file in memory that stores only the pages that are written.
 
     HDF5 writes its tables to it, before, between and behind the places of the datasets.
     """
 
     def __init__(self) -> None:
-        """Nothing is written yet."""
+        """Create an empty file."""
         self._pages: dict[int, bytearray] = {}
         self._size = self._at = 0
 
     def seekable(self) -> bool:
-        """Yes."""
+        """Return True."""
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place, counted from the beginning, from here or from the end."""
+        """Go to a position, counted from the beginning, from here or from the end."""
         self._at = (0, self._at, self._size)[whence] + offset
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Read what fits into the buffer, up to the end."""
+        """Read as much as fits into the buffer, up to the end."""
         view = memoryview(buffer).cast("B")
         count = max(0, min(len(view), self._size - self._at))
         for place, number, within, length in self._runs(count):
@@ -66,10 +66,10 @@ class Pages(io.RawIOBase):
         return self._size
 
     def copy_to(self, path: Path) -> None:
-        """Write the pages to a file that is as long, with holes elsewhere.
+        """Write the pages to a file of the same length, with holes elsewhere.
 
         Raises:
-            OSError: if it cannot be written.
+            OSError: If it cannot be written.
         """
         with open(path, "wb") as stream:
             stream.truncate(self._size)
@@ -78,7 +78,7 @@ class Pages(io.RawIOBase):
                 write_at(stream.fileno(), start, page[: max(0, self._size - start)])
 
     def _runs(self, count: int) -> list[tuple[int, int, int, int]]:
-        """The next bytes, page after page: place among them, page, place in it, how many."""
+        """Return the next bytes page by page: position among them, page, position in it, number."""
         runs, at = [], self._at
         while at < self._at + count:
             number, within = divmod(at, _PAGE)
@@ -89,16 +89,16 @@ class Pages(io.RawIOBase):
 
 
 def add_dataset(group: Any, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> int:
-    """Add a dataset whose numbers somebody else writes, row after row.
+    """Add a dataset whose numbers are written elsewhere, row by row.
 
     Args:
-        group: of h5py.
-        name: of the dataset.
-        shape: its shape.
-        dtype: type of its numbers.
+        group: Group of h5py.
+        name: Name of the dataset.
+        shape: Shape of the dataset.
+        dtype: Type of its numbers.
 
     Returns:
-        Where they begin in the file [bytes]; 0 if there are none.
+        Start of the numbers in the file in bytes; 0 if there are none.
     """
     import h5py
 
@@ -112,10 +112,10 @@ def add_dataset(group: Any, name: str, shape: tuple[int, ...], dtype: npt.DTypeL
 
 
 def write_at(descriptor: int, start: int, data: Any) -> None:
-    """Write bytes or an array to a place of an open file, all of them.
+    """Write bytes or an array completely, to a position of an open file.
 
     Raises:
-        OSError: if they cannot be written.
+        OSError: If they cannot be written.
     """
     view = memoryview(data)
     view = view.cast("B") if view.nbytes else memoryview(b"")

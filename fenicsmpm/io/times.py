@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Times of runs that go on after a restart."""
+"""Times of runs that continue after a restart."""
 
 
 def is_until(time: float, end: float) -> bool:
-    """Whether a time that was written belongs to a run that went on from ``end`` [s]."""
+    """Return whether a recorded time belongs to the run before ``end``, in s."""
     return time <= end + 1e-9 * abs(end)

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Grids with values at several times in one file: VTK's format on HDF5, written by all ranks.
 
-It is VTKHDF 2.0 with an UnstructuredGrid and the group Steps
-(https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format): all values of a field are one
-array, and tables say where those of a time begin. Each time has one part, so that readers of all
-versions give one grid, and what is read does not depend on the number of ranks. Points are cells
-with one vertex and not VTK's PolyData, in which VTK 9.7 loses its way after a time without points.
+The format is VTKHDF 2.0 with an UnstructuredGrid and the group Steps
+(https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format). All values of a field form one
+array, and tables tell where the values of each time begin. Each time has one part, so that readers
+of all versions return one grid, and the data do not depend on the number of ranks. Points are cells
+with one vertex. VTK's PolyData is no alternative: VTK 9.7 misreads it after a time without points.
 
-A time is written in three stages: arrays are made longer, ranks put their rows there, and last come
-the tables and the number of times. Who reads the file goes by the tables, so a program can be
-killed, and a disk be full, at any stage: the times before can be read.
+A time is written in three stages: arrays are extended, ranks write their rows there, and finally
+the tables and the number of times are updated. Readers rely on the tables. If the program is killed
+or the disk becomes full at any stage, earlier times can still be read.
 """
 
 from __future__ import annotations
@@ -45,9 +45,8 @@ class Cells:
     """Cells that a rank contributes to a grid.
 
     Attributes:
-        nodes: their points, as rows of those of all ranks, rank after rank, shape
-            (n_cells, n_nodes).
-        kind: VTK's number of their type.
+        nodes: Points of the cells, numbered over all ranks, shape (n_cells, n_nodes).
+        kind: VTK's number of the cell type.
     """
 
     nodes: npt.NDArray[np.int64]
@@ -56,7 +55,7 @@ class Cells:
 
 @dataclass
 class _Step:
-    """Where the arrays of a time begin in the file, and how long they are."""
+    """Starts and lengths of the arrays of a time in the file."""
 
     part: int = -1
     point: int = 0
@@ -69,19 +68,19 @@ class _Step:
 
 
 class GridFile:
-    """A file to which ranks append what they have of a grid, time after time.
+    """A file to which ranks append their parts of a grid, time by time.
 
     Args:
-        path: name of the file; missing directories are made.
-        parameters: numbers and texts to be stored in it, beside the package's version.
+        path: Name of the file; missing directories are created.
+        parameters: Numbers and texts to be stored in it, beside the version of the package.
 
     Attributes:
-        times: that are in the file, or are kept of an earlier one [s].
-        names: of the fields of an earlier file, of which times are kept.
+        times: Times in s that are in the file, or are kept of an earlier one.
+        names: Names of the fields of an earlier file of which times are kept.
     """
 
     def __init__(self, path: Path, parameters: Mapping[str, Any]) -> None:
-        """Nothing is written before the first time."""
+        """Set up the file; nothing is written before the first time."""
         self._path, self._parameters = path, {"fenicsmpm version": fenicsmpm.__version__}
         self._parameters.update(parameters)
         self._is_there, self._must_cut = False, False
@@ -90,15 +89,15 @@ class GridFile:
         self.names: list[str] = []
 
     def resume(self, comm: MPI.Intracomm, end: float) -> None:
-        """Go on with what is there (collective); nothing changes before the next time is written.
+        """Continue an earlier file. Nothing changes before the next time is written. Collective.
 
         Args:
-            comm: communicator of the ranks.
-            end: times until this one are kept [s].
+            comm: Communicator of the ranks.
+            end: Times up to this one, in s, are kept.
 
         Raises:
-            OSError: on all ranks, if the file cannot be read.
-            ValueError: on all ranks, if it has not been written by this class.
+            OSError: On all ranks, if the file cannot be read.
+            ValueError: On all ranks, if it was not written by this class.
         """
         found = do_there(comm, comm.rank == 0, lambda: self._read(end))
         self.times, self.names, self._last = comm.bcast(found)
@@ -112,19 +111,19 @@ class GridFile:
         cells: Cells | None,
         fields: Rows,
     ) -> None:
-        """Append what all ranks have at a time (collective).
+        """Append the data of all ranks at a time. Collective.
 
         Args:
-            comm: communicator of the ranks.
-            time: [s], later than the last one.
-            x: positions of this rank's points, shape (n, 3) [m]; None on all ranks: those of the
-                time before.
-            cells: of this rank; None on all ranks: those of the time before.
-            fields: values at this rank's points by name, shape (n,) or (n, width).
+            comm: Communicator of the ranks.
+            time: Time in s, later than the last one.
+            x: Positions of this rank's points in m, shape (n, 3); None on all ranks for those of
+                the previous time.
+            cells: Cells of this rank; None on all ranks for those of the previous time.
+            fields: Values at this rank's points by name, shape (n,) or (n, width).
 
         Raises:
-            OSError: on all ranks, if it cannot be written; the times before are as they were.
-            ValueError: on all ranks, if the file has other fields.
+            OSError: On all ranks, if the file cannot be written; earlier times stay as they were.
+            ValueError: On all ranks, if the file has other fields.
         """
         target = self._path if self._is_there else self._path.with_name(self._path.name + ".tmp")
         try:
@@ -132,7 +131,7 @@ class GridFile:
         except OSError as failure:
             raise OSError(
                 failure.errno,
-                f"t = {time:g} s could not be written, what was there before is as it was: "
+                f"t = {time:g} s could not be written, earlier times are as they were: "
                 f"{failure.strerror or failure}; make room or choose another path",
                 str(self._path),
             ) from failure
@@ -186,7 +185,7 @@ class GridFile:
         return step
 
     def _next(self, totals: Mapping[str, int]) -> _Step:
-        """Where a time begins that appends so many rows."""
+        """Return the starts of a new time that appends so many rows."""
         last = self._last
         step = _Step(**vars(last))
         step.value += last.n_points
@@ -202,7 +201,7 @@ class GridFile:
         return step
 
     def _create(self, path: Path, own: Rows, totals: Mapping[str, int]) -> None:
-        """Make a file without times. By what stands first readers know of a time."""
+        """Create a file without times."""
         import h5py
 
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -254,7 +253,7 @@ class GridFile:
             )
 
     def _commit(self, target: Path, time: float, step: _Step) -> None:
-        """Let readers see the new time."""
+        """Make the new time visible to readers."""
         number = len(self.times)
         with edit(target, downwards=True) as file:
             sizes = (step.n_points, step.n_cells, step.n_connectivity)
@@ -273,7 +272,7 @@ class GridFile:
         os.replace(target, self._path)
 
     def _read(self, end: float) -> tuple[list[float], list[str], _Step]:
-        """Times that are kept, names of fields, and where the last time is."""
+        """Return the times that are kept, names of fields, and the start of the last time."""
         if not self._path.exists():
             return [], [], _Step()
         with open(self._path, "rb") as stream:
@@ -304,7 +303,7 @@ class GridFile:
             return times[:kept], list(file[FIELDS]), last
 
     def _cut(self, path: Path) -> None:
-        """Take later times from the tables."""
+        """Remove later times from the tables."""
         with edit(path) as file:
             file[STEPS].attrs.modify("NSteps", len(self.times))
             tables = [data for data in file[STEPS].values() if hasattr(data, "resize")]
@@ -315,7 +314,7 @@ class GridFile:
 
 
 def _topology(comm: MPI.Intracomm, cells: Cells) -> dict[str, npt.NDArray]:
-    """VTK's arrays of cells, as far as this rank has them (collective)."""
+    """Return VTK's arrays of cells for this rank. Collective."""
     n, n_nodes = cells.nodes.shape
     counts = comm.allgather(n)
     begin = sum(counts[: comm.rank])
@@ -329,23 +328,23 @@ def _topology(comm: MPI.Intracomm, cells: Cells) -> dict[str, npt.NDArray]:
 
 
 def _begin(name: str, step: _Step) -> int:
-    """The row of an array at which a time begins."""
+    """Return the row of an array at which a time begins."""
     return {
         POINTS: step.point,
         CONNECTIVITY: step.connectivity,
-        OFFSETS: step.cell + step.part,  # each part has one more than cells
+        OFFSETS: step.cell + step.part,  # each part has one more offset than cells
         TYPES: step.cell,
     }.get(name, step.value)
 
 
 def _put(table: Any, number: int, value: float) -> None:
-    """Let a row be the last one of a table."""
+    """Make a row the last one of a table."""
     table.resize(number + 1, axis=0)
     table[number] = value
 
 
 def _any(group: Any) -> Any:
-    """The table that all names of a group stand for."""
+    """Return the table for which all names of a group stand."""
     return next(iter(group.values()))
 
 
@@ -356,13 +355,13 @@ def _add_parameter(file: Any, name: str, value: Any) -> None:
         file[f"{ROOT}/FieldData/{name}"] = [
             float(value) if isinstance(value, float) else int(value)
         ]
-    else:  # VTK cannot read texts that say that they are UTF-8, but shows them right
+    else:  # VTK cannot read texts marked as UTF-8, but shows unmarked ones correctly
         text = h5py.string_dtype("ascii")
         file.create_dataset(f"{ROOT}/FieldData/{name}", data=[str(value).encode()], dtype=text)
 
 
 def plain(name: str) -> str:
-    """A name without characters that HDF5 and VTK take for paths, as VTK's own writer does it."""
+    """Replace characters that HDF5 and VTK take for paths, as VTK's own writer does."""
     return name.replace("/", "_").replace(".", "_")
 
 

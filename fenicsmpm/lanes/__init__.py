@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Eight numbers at once in loops compiled by numba, in one vector register."""
+"""Eight numbers at once in one vector register, in loops compiled by numba."""
 
 from fenicsmpm.lanes.memory import (
     line_at,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rows and lines in memory, without looking whether indices are in range."""
+"""Loads and stores of rows and lines in memory, without bounds checks."""
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
 
@@ -24,20 +24,20 @@ from fenicsmpm.lanes.rows import (
 
 
 def _address(context, builder, array_type, array, index):
-    """Of a number in a contiguous array, without looking whether the index is negative."""
+    """Return the address of a number in a contiguous array, without checks of the index."""
     data = context.make_array(array_type)(context, builder, value=array).data
     return builder.gep(data, [index])
 
 
 def row_address(context, builder, array_type, array, row, kind=VECTOR):
-    """LLVM pointer to a row, or another vector, of a contiguous array."""
+    """Return an LLVM pointer to a row, or another vector, of a contiguous array."""
     index = builder.mul(row, ir.Constant(INT64, kind.count))
     address = _address(context, builder, array_type, array, index)
     return builder.bitcast(address, kind.as_pointer())
 
 
 def _access(register, kind, what):
-    """Functions that read and write vectors of one kind."""
+    """Return functions that read and write vectors of one kind."""
 
     @intrinsic
     def load(_typing, array, i):
@@ -57,7 +57,7 @@ def _access(register, kind, what):
 
         return types.void(array, types.intp, register), generate
 
-    load.__doc__ = f"{what.capitalize()} i of a C-contiguous array ``(n, {kind.count})``."
+    load.__doc__ = f"Return {what} i of a C-contiguous array ``(n, {kind.count})``."
     store.__doc__ = f"Overwrite {what} i of a C-contiguous array ``(n, {kind.count})``."
     return load, store
 
@@ -68,7 +68,7 @@ load_line, store_line = _access(LINE, SHORT_VECTOR, "line")
 
 @intrinsic
 def prefetch(_typing, rows, i):
-    """Have row i of a C-contiguous array ``(n, 8)`` brought near; it need not exist."""
+    """Prefetch row i of a C-contiguous array ``(n, 8)``; the row need not exist."""
 
     def generate(context, builder, signature, arguments):
         address = row_address(context, builder, signature.args[0], *arguments)
@@ -87,7 +87,7 @@ def prefetch(_typing, rows, i):
 
 @intrinsic
 def number_at(_typing, numbers, i):
-    """Element i of a C-contiguous array, counted through."""
+    """Return element i of a flattened C-contiguous array."""
 
     def generate(context, builder, signature, arguments):
         return builder.load(_address(context, builder, signature.args[0], *arguments))
@@ -97,7 +97,7 @@ def number_at(_typing, numbers, i):
 
 @intrinsic
 def line_of(_typing, a, b, c, d):
-    """The line of four numbers."""
+    """Return the line of four numbers."""
 
     def generate(_context, builder, _signature, numbers):
         line = ir.Constant(SHORT_VECTOR, ir.Undefined)
@@ -110,7 +110,7 @@ def line_of(_typing, a, b, c, d):
 
 @intrinsic
 def line_at(_typing, numbers, i):
-    """The four numbers of a C-contiguous array from element i on, counted through."""
+    """Return four numbers of a flattened C-contiguous array from element i on."""
 
     def generate(context, builder, signature, arguments):
         address = _address(context, builder, signature.args[0], *arguments)
@@ -119,9 +119,9 @@ def line_at(_typing, numbers, i):
     return LINE(numbers, types.intp), generate
 
 
-# Of two rows: their first numbers of each pair by turns, and their second ones
+# Of two rows: alternately the first numbers of each pair, and the second ones
 _EVEN, _ODD = (0, 8, 2, 10, 4, 12, 6, 14), (1, 9, 3, 11, 5, 13, 7, 15)
-# Of two rows, in each half: its first two numbers of both, and its last two of both
+# Of two rows, in each half: the first two numbers of both, and the last two of both
 _FIRST, _LAST = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
 
 
@@ -131,7 +131,7 @@ def _shuffle(builder, a, b, places):
 
 
 def _transpose(builder, rows):
-    """Of four rows: the 4 x 4 matrices of their first and of their last halves transposed."""
+    """Transpose the 4 x 4 matrices of the first and of the last halves of four rows."""
     a, b, c, d = rows
     even, odd = _shuffle(builder, a, b, _EVEN), _shuffle(builder, a, b, _ODD)
     even_2, odd_2 = _shuffle(builder, c, d, _EVEN), _shuffle(builder, c, d, _ODD)
@@ -147,7 +147,7 @@ def _line_addresses(context, builder, array_type, array, first):
 
 @intrinsic
 def load_columns(_typing, lines, first):
-    """The four columns, as rows, of the eight lines from the first on, in ``(n, 4)``."""
+    """Return the four columns of the eight lines from `first` on in ``(n, 4)``, as rows."""
 
     def generate(context, builder, signature, arguments):
         addresses = _line_addresses(context, builder, signature.args[0], *arguments)
@@ -161,7 +161,7 @@ def load_columns(_typing, lines, first):
 
 @intrinsic
 def store_columns(_typing, lines, first, a, b, c, d):
-    """Overwrite the eight lines from the first on, in ``(n, 4)``, with four rows as columns."""
+    """Overwrite the eight lines from `first` on in ``(n, 4)`` with four rows as columns."""
 
     def generate(context, builder, signature, arguments):
         array, first, *columns = arguments

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Eight numbers at once in loops compiled by numba, in one vector register.
+"""Eight numbers at once in one vector register, in loops compiled by numba.
 
 A ``Row`` behaves like a number in formulas: operators ``+ - * /``, ``min``, ``max``, ``math.sqrt``,
-``math.exp`` and ``math.floor`` act on each of its lanes; of NaN and a number, ``min`` and ``max``
-give the number. So what is written for one point can be compiled for eight of them, if it has no
-branches. Rows are loaded from arrays ``(n, 8)``. A ``Line`` are four numbers of an array
-``(n, 4)``, which can only be scaled and summed up.
+``math.exp`` and ``math.floor`` act on each of its lanes. Of NaN and a number, ``min`` and ``max``
+return the number. Code written for one point can thus be compiled for eight, if it has no branches.
+Rows are loaded from arrays ``(n, 8)``. A ``Line`` consists of four numbers of an array ``(n, 4)``,
+which can only be scaled and added up.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
@@ -25,24 +25,24 @@ LANES, LINE_LANES = 8, 4
 DOUBLE, INT64, INT32 = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 VECTOR, INTEGERS = ir.VectorType(DOUBLE, LANES), ir.VectorType(INT64, LANES)
 SHORT_VECTOR = ir.VectorType(DOUBLE, LINE_LANES)
-# products and sums may be fused: faster and not less accurate
+# products and sums may be fused, which is faster and no less accurate
 _FUSE = ("contract",)
 NUMBERS = (types.Float, types.Integer)
 
 
 class RowType(types.Type):
-    """Numba's type of a row."""
+    """Numba type of a row."""
 
     def __init__(self):
-        """Name it."""
+        """Set the name."""
         super().__init__(name="Row")
 
 
 class LineType(types.Type):
-    """Numba's type of a line."""
+    """Numba type of a line."""
 
     def __init__(self):
-        """Name it."""
+        """Set the name."""
         super().__init__(name="Line")
 
 
@@ -62,7 +62,7 @@ class _LineModel(models.PrimitiveModel):
 
 
 def splat(builder, number, kind=VECTOR):
-    """LLVM vector with the same number in each lane."""
+    """Return an LLVM vector with the same number in each lane."""
     undefined = ir.Constant(kind, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.Constant(INT32, 0))
     mask = ir.Constant(ir.VectorType(INT32, kind.count), None)
@@ -70,7 +70,7 @@ def splat(builder, number, kind=VECTOR):
 
 
 def _call(builder, name, kind, *arguments):
-    """LLVM's own function of one or more vectors or doubles."""
+    """Call LLVM's own function of one or more vectors or doubles."""
     suffix = "f64" if kind is DOUBLE else f"v{kind.count}f64"
     function_type = ir.FunctionType(kind, [kind] * len(arguments))
     function = cgutils.get_or_insert_function(
@@ -79,7 +79,7 @@ def _call(builder, name, kind, *arguments):
     return builder.call(function, arguments)
 
 
-# --- operators and functions of the language -----------------------------------------------------
+# --- operators and functions of Python -----------------------------------------------------------
 
 
 def _is_row_function(arguments):
@@ -90,9 +90,9 @@ def _define(function, count, build):
     """Make a function act on rows, and on rows with numbers.
 
     Args:
-        function: such as ``operator.add``.
-        count: of its arguments.
-        build: ``build(builder, *vectors)``, the LLVM code.
+        function: Function, such as ``operator.add``.
+        count: Number of its arguments.
+        build: Function ``build(builder, *vectors)`` that returns the LLVM code.
     """
 
     @type_callable(function)
@@ -102,7 +102,7 @@ def _define(function, count, build):
                 return ROW
             return None
 
-        # numba looks at the signature
+        # numba inspects the signature
         if count == 1:
             return lambda a: typer(a)
         return lambda a, b: typer(a, b)
@@ -142,12 +142,12 @@ _define(min, 2, lambda b, x, y: _call(b, "minnum", VECTOR, x, y))
 _define(max, 2, lambda b, x, y: _call(b, "maxnum", VECTOR, x, y))
 
 
-# --- what the language does not have -------------------------------------------------------------
+# --- functions that Python does not have ---------------------------------------------------------
 
 
 @intrinsic
 def zeros(_typing):
-    """A row of zeros."""
+    """Return a row of zeros."""
 
     def generate(_context, _builder, _signature, _arguments):
         return ir.Constant(VECTOR, None)
@@ -157,7 +157,7 @@ def zeros(_typing):
 
 @intrinsic
 def zero_line(_typing):
-    """A line of zeros."""
+    """Return a line of zeros."""
 
     def generate(_context, _builder, _signature, _arguments):
         return ir.Constant(SHORT_VECTOR, None)
@@ -167,7 +167,7 @@ def zero_line(_typing):
 
 @intrinsic
 def add_scaled(_typing, total, factor, vector):
-    """Total + factor * vector, rows or lines with a number as factor, rounded once."""
+    """Return total + factor * vector, rows or lines with a number as factor, rounded once."""
 
     def generate(_context, builder, signature, arguments):
         kind = VECTOR if signature.return_type is ROW else SHORT_VECTOR
@@ -179,7 +179,7 @@ def add_scaled(_typing, total, factor, vector):
 
 @intrinsic
 def scaled(_typing, factor, line):
-    """Factor * line."""
+    """Return factor * line."""
 
     def generate(_context, builder, _signature, arguments):
         factor, line = arguments
@@ -190,7 +190,7 @@ def scaled(_typing, factor, line):
 
 @intrinsic
 def between(_typing, row, low, high):
-    """Whether all lanes are in ``low <= row <= high``; NaN is not."""
+    """Return whether all lanes are in ``low <= row <= high``; NaN is not."""
 
     def generate(context, builder, signature, arguments):
         low, high = (
@@ -207,7 +207,7 @@ def between(_typing, row, low, high):
 
 @intrinsic
 def choose(_typing, condition, value, other):
-    """The value where the condition is above zero, the other one elsewhere; of rows or numbers."""
+    """Return the value where the condition is positive, else the other; rows or numbers."""
 
     def generate(context, builder, signature, arguments):
         vectors = [
@@ -223,13 +223,13 @@ def choose(_typing, condition, value, other):
     return (ROW if ROW in kinds else types.float64)(*kinds), generate
 
 
-# bits of 1.0, and what the least error of the guess below takes from them
+# bits of 1.0, less what minimizes the error of the guess below
 _BITS_OF_ONE, _SHIFT = 0x3FF0000000000000, 0.0505 * 2**52
 
 
 @intrinsic
 def rough_inverse_cube_root(_typing, x):
-    """x^(-1/3) with an error of a few percent for positive x; of rows or of numbers.
+    """Return x^(-1/3) with an error of a few percent for positive x; rows or numbers.
 
     The bits of a double, read as an integer, are nearly linear in its logarithm.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tensors at eight points, for laws."""
+"""Tensors at eight points, for constitutive laws."""
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False, disable-error-code=misc
 
@@ -26,13 +26,13 @@ from fenicsmpm.lanes.rows import INT64, NUMBERS, ROW, VECTOR, splat
 
 
 class TensorsType(types.Type):
-    """Numba's type of 3x3 tensors in eight lanes: ``T[j, k]`` is a row, to be read or set.
+    """Numba type of 3x3 tensors in eight lanes: ``T[j, k]`` is a row, to be read or set.
 
     ``T[k]`` is the k-th of any number of rows.
     """
 
     def __init__(self):
-        """Name it."""
+        """Set the name."""
         super().__init__(name="Tensors")
 
 
@@ -47,7 +47,7 @@ class _TensorsModel(models.PrimitiveModel):
 
 @intrinsic
 def tensors(_typing, rows, first):
-    """The rows of a C-contiguous array ``(n, 8)`` from the first on as components of tensors."""
+    """Return rows of a C-contiguous array ``(n, 8)`` from `first` on as tensor components."""
 
     def generate(context, builder, signature, arguments):
         return row_address(context, builder, signature.args[0], *arguments)
@@ -110,6 +110,6 @@ def _setitem(context, builder, signature, arguments):
 
 @functools.cache
 def works_on_rows(update: Any) -> bool:
-    """Whether a law's function can be compiled for eight points at once: it has no branches."""
+    """Return whether a law's function, as it has no branches, can be compiled for eight points."""
     parameters = types.Array(types.float64, 1, "C")
     return compiles(update, types.void(TENSORS, TENSORS, parameters, TENSORS, TENSORS))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the material carries: points, their seeding, location and migration."""
+"""Material points: seeding, location in the mesh, and exchange between ranks."""
 
 from fenicsmpm.points.body_files import read_cloud, read_image, read_solid
 from fenicsmpm.points.cells_from_gmsh import boundary_of, in_cells, read_cells

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Errors that all ranks raise together.
 
-An exception on one rank only would leave the others waiting in the next collective operation.
-So a check that may fail on some ranks is done first, and its outcome is agreed on before anything
-else is sent.
+An exception on one rank only would leave the other ranks waiting in the next collective operation.
+A check that may fail on some ranks therefore comes first, and all ranks agree on its outcome
+before any other communication.
 """
 
 import pickle
@@ -16,14 +16,14 @@ T = TypeVar("T")
 
 
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
-    """Raise on every rank when any rank has an error. Collective.
+    """Raise an error on every rank if any rank has one. Collective.
 
-    A rank that has an error of its own raises that one, the others raise the one of the lowest
-    rank that has one (a RuntimeError with its message, if it cannot be sent).
+    A rank that has an error raises its own. The others raise that of the lowest rank with an error,
+    or a RuntimeError with the same message if the error cannot be sent.
 
     Args:
-        comm: The communicator of the ranks that have to agree.
-        error: What is wrong on this rank, or None.
+        comm: Communicator of the ranks that have to agree.
+        error: Error of this rank, or None.
 
     Raises:
         Exception: The error, on all ranks.
@@ -34,33 +34,33 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
 
 
 def _sendable(error: Exception | None) -> Exception | None:
-    """The error, or one that says the same if it cannot be made anew on another rank."""
+    """Return the error, or one with the same text if it cannot be recreated on another rank."""
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # of a user's class, which may do anything
+    except Exception:  # classes of users may raise anything here
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
 
 
 def do_there(comm: MPI.Comm, here: bool, action: Callable[[], T]) -> T | None:
-    """Do something on some ranks, such as writing a file on rank 0; all hear of errors. Collective.
+    """Run an action on some ranks, such as writing a file on rank 0. Collective.
 
     Args:
-        comm: The communicator of the ranks that have to agree.
-        here: Whether this rank does it.
-        action: What is to be done.
+        comm: Communicator of the ranks that have to agree.
+        here: Whether this rank runs the action.
+        action: The function to call.
 
     Returns:
-        What the action returned, None where it was not done.
+        The result of the action, None on ranks that do not run it.
 
     Raises:
-        Exception: Whatever the action raised somewhere, on all ranks.
+        Exception: Any error of the action, on all ranks.
     """
     result, error = None, None
     if here:
         try:
             result = action()
-        except Exception as failure:  # of any kind: the other ranks wait
+        except Exception as failure:  # of any kind, since the other ranks wait
             error = failure
     raise_together(comm, error)
     return result

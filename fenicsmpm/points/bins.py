@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which cells may contain a point: a uniform grid of bins over the bounding boxes of the cells."""
+"""Uniform bins over the bounding boxes of cells, which tell the cells that may contain a point."""
 
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ from fenicsmpm._njit import njit
 
 
 class Bins(NamedTuple):
-    """Bins and the cells in each of them, in a form that numba understands.
+    """Bins and the cells in each of them, as a tuple that numba understands.
 
     Attributes:
         origin: Lower corner of the first bin, shape (d,), in m.
         inverse_size: Bins per metre, shape (d,).
         shape: Number of bins in each direction, shape (d,), int64.
-        offsets: Cells of bin b are cells[offsets[b]:offsets[b + 1]], int64.
+        offsets: Cells of bin b are ``cells[offsets[b]:offsets[b + 1]]``, int64.
         cells: Local cells, int32.
     """
 
@@ -28,11 +28,11 @@ class Bins(NamedTuple):
 
 
 def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> Bins:
-    """Bins about as large as the cells.
+    """Make bins about as large as the cells.
 
     Args:
-        lower: Lower corners of the cells' bounding boxes, tolerance included, shape (cells, d).
-        upper: Upper corners.
+        lower: Lower corners of the cells' bounding boxes in m with tolerance, shape (cells, d).
+        upper: Upper corners, likewise.
     """
     n, d = lower.shape
     if n == 0:
@@ -42,7 +42,7 @@ def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) ->
     extent = upper.max(axis=0) - lower.min(axis=0)
     # Few cells in a large box (a graded mesh, bodies far apart) must not cost much memory.
     size *= max(1.0, np.prod(extent / size) / (4.0 * n + 1000.0)) ** (1.0 / d)
-    # Off the planes of regular meshes, where a cell would touch three bins a direction, not two.
+    # Shift bins off the planes of regular meshes: a cell then touches two per direction, not three.
     origin = lower.min(axis=0) - 0.37 * size
     shape = np.floor((upper.max(axis=0) - origin) / size).astype(np.int64) + 1
     first = np.floor((lower - origin) / size).astype(np.int64)
@@ -53,7 +53,7 @@ def make_bins(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) ->
 
 @njit
 def _fill(first, last, shape):  # type: ignore[no-untyped-def]
-    """CSR lists of the cells in each bin, from the first and last bin index of each cell."""
+    """Return CSR lists of the cells in each bin, from the first and last bin of each cell."""
     n, d = first.shape
     bins = 1
     for i in range(d):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Bodies from files: surfaces, images, point clouds.
 
-Rank 0 reads and sends what it has read to the others: a file is needed on one machine only, and
-errors are raised on all ranks. The functions are collective. Files of VTK and the like are read by
-pyvista, which is imported only then.
+All functions are collective. Rank 0 reads the file and sends its content to the other ranks, so
+the file is needed on one machine only, and errors are raised on all ranks. pyvista reads files of
+VTK and similar formats; it is imported only when needed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fenicsmpm.points.agreement import do_there
 from fenicsmpm.points.material_points import MaterialPoints
 from fenicsmpm.shapes import Solid, surface
 
-if TYPE_CHECKING:  # it takes a second to import: only where it is needed
+if TYPE_CHECKING:  # the import takes a second
     import pyvista
 
 T = TypeVar("T")
@@ -32,16 +32,16 @@ _VTK_IMAGES = (".vti", ".vtk", ".mha", ".mhd", ".nrrd")
 _PICTURES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 _VTK_CLOUDS = (".vtp", ".vtk", ".vtu", ".ply")
 
-# Vertices of a surface closer than this part of its size are one: STL files have float32.
+# Vertices closer than this fraction of the surface's size are merged: STL files have float32.
 _SAME = 1e-7
 
 
 class Image(NamedTuple):
-    """What is in a file of an image, for `fenicsmpm.shapes.mask` and `contour`.
+    """Gray values of an image file, for `fenicsmpm.shapes.mask` and `contour`.
 
     Attributes:
-        values: Gray values, the first coordinate first, shape (nx, ny) or (nx, ny, nz).
-        spacing: Sizes of a voxel, shape (d,); 1 if the file has none.
+        values: Gray values, first coordinate first, shape (nx, ny) or (nx, ny, nz).
+        spacing: Size of a voxel in the unit of the file, shape (d,); 1 if the file has none.
         origin: Lower corner of the first voxel, shape (d,); 0 if the file has none.
     """
 
@@ -51,10 +51,19 @@ class Image(NamedTuple):
 
 
 def on_rank_0(path: Path | str, comm: MPI.Intracomm, read: Callable[[Path], T]) -> T | None:
-    """What a function reads from a file on rank 0, None on the other ranks. Collective.
+    """Call a function that reads a file on rank 0 and return its result there. Collective.
+
+    Args:
+        path: The file.
+        comm: Communicator of the ranks that hear of errors.
+        read: Function that reads the file.
+
+    Returns:
+        What the function returned on rank 0, None on the other ranks.
 
     Raises:
-        FileNotFoundError: On all ranks, if there is no such file; also what the function raises.
+        FileNotFoundError: On all ranks, if there is no such file. Errors of the function are
+            raised on all ranks, too.
     """
     file = Path(path)
 
@@ -67,31 +76,35 @@ def on_rank_0(path: Path | str, comm: MPI.Intracomm, read: Callable[[Path], T]) 
 
 
 def read_solid(path: Path | str, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Solid:
-    """The solid in a closed surface: a file .stl, .ply, .vtk, .vtp, .vtu or .obj.
+    """Read a closed surface from a .stl, .ply, .vtk, .vtp, .vtu or .obj file and return its solid.
 
-    Polygons are cut into triangles, of volumes in a .vtu or .vtk the surface is taken. Vertices
-    closer than 1e-7 of the size are one. Lengths are as in the file: `Solid.transformed` scales.
+    Polygons are cut into triangles. Of a mesh of volumes in a .vtu or .vtk file, the surface is
+    taken. Vertices closer than 1e-7 of the size of the surface are merged. Lengths keep the unit of
+    the file; `Solid.transformed` scales them.
 
     Args:
         path: The file.
-        comm: Ranks that want the solid.
+        comm: Communicator of the ranks that get the solid.
+
+    Returns:
+        The solid, on all ranks.
 
     Raises:
         OpenSurfaceError: If the surface has holes.
         FileNotFoundError: If there is no such file.
         ValueError: For other types of files, files without triangles, and surfaces that
             `fenicsmpm.shapes.surface` refuses.
-        ImportError: Without pyvista.
+        ImportError: If pyvista is not installed.
     """
     vertices, triangles = comm.bcast(on_rank_0(path, comm, _triangles))
     return surface(vertices, triangles)
 
 
 def _triangles(file: Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Vertices (m, 3) and triangles (n, 3)."""
+    """Return vertices (m, 3) and triangles (n, 3)."""
     data: Any = _vtk_data(file, _SURFACES, "a surface")
     if not hasattr(data, "extract_surface"):
-        raise ValueError(f"{file}: {type(data).__name__} is no surface")
+        raise ValueError(f"{file}: holds {type(data).__name__} instead of a surface")
     if not hasattr(data, "faces"):  # volumes
         data = data.extract_surface()
     vertices = np.asarray(data.points, dtype=np.float64)
@@ -100,25 +113,28 @@ def _triangles(file: Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int6
         vertices = np.asarray(data.points, dtype=np.float64)
     triangles = np.asarray(data.faces, dtype=np.int64).reshape(-1, 4)[:, 1:]
     if not len(triangles):
-        raise ValueError(f"{file}: no triangles in it, or the file is damaged")
+        raise ValueError(f"{file}: contains no triangles, or the file is damaged")
     return vertices, triangles
 
 
 def read_image(path: Path | str, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Image:
-    """Gray values of an image: a file .npy, .png and the like, .vti, .vtk, .mha or .nrrd.
+    """Read gray values from an image file: .npy, .png and the like, .vti, .vtk, .mha or .nrrd.
 
-    In pictures the first coordinate goes to the right and the second one upwards; of colours the
-    mean is taken. Arrays of numpy have the first coordinate first. In .vti files it is the active
-    scalar field of cells or points, where a point is the centre of a voxel.
+    In pictures the first coordinate points to the right and the second one upwards. Colours are
+    averaged. NumPy arrays have the first coordinate first. In files of VTK the active scalar field
+    of cells or points is read, where a point is the centre of a voxel.
 
     Args:
         path: The file.
-        comm: Ranks that want the image.
+        comm: Communicator of the ranks that get the image.
+
+    Returns:
+        The image, on all ranks.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: For other types of files, and arrays that are no image in 2 or 3 dimensions.
-        ImportError: For files of VTK without pyvista.
+        ImportError: For files of VTK, if pyvista is not installed.
     """
     image: Image = comm.bcast(on_rank_0(path, comm, _image))
     return image
@@ -138,20 +154,22 @@ def _image(file: Path) -> Image:
     else:
         return _vtk_image(_vtk_data(file, _VTK_IMAGES, "an image", ".npy", *_PICTURES), file)
     if values.ndim not in (2, 3):
-        raise ValueError(f"{file}: an image has 2 or 3 dimensions, not the shape {values.shape}")
+        raise ValueError(f"{file}: an image must have 2 or 3 dimensions, not shape {values.shape}")
     return Image(values, np.ones(values.ndim), np.zeros(values.ndim))
 
 
 def _vtk_image(data: Any, file: Path) -> Image:
-    """Values of VTK's image data, of one layer in the plane."""
+    """Return VTK's image data, as a 2D image if there is one layer only."""
     if not hasattr(data, "spacing") or not hasattr(data, "dimensions"):
-        raise ValueError(f"{file}: {type(data).__name__} is no image")
+        raise ValueError(f"{file}: holds {type(data).__name__} instead of an image")
     spacing, origin = np.array(data.spacing), np.array(data.origin)
-    # several arrays: the active one
+    # Of several arrays, take the active one.
     name = data.active_scalars_name
     arrays = data.cell_data if len(data.cell_data) else data.point_data
     if name not in arrays or arrays[name].ndim != 1:
-        raise ValueError(f"{file}: needs one active array of scalars, has {list(arrays.keys())}")
+        raise ValueError(
+            f"{file}: an image needs one active array of scalars, but has {list(arrays.keys())}"
+        )
     of_cells = len(data.cell_data) > 0
     shape = np.array(data.dimensions)
     if of_cells:
@@ -167,17 +185,18 @@ def _vtk_image(data: Any, file: Path) -> Image:
 def read_cloud(
     mesh: Mesh, path: Path | str, volume: str = "volume", tag: int = 0
 ) -> MaterialPoints:
-    """Points with their volumes from a file .csv, .npz, .vtp, .vtk, .vtu or .ply.
+    """Read points with volumes from a .csv, .npz, .vtp, .vtk, .vtu or .ply file.
 
-    The first line of a .csv names its columns: "x", "y", in space "z", the volume, and others. A
-    .npz has positions "x", shape (n, d), and arrays (n, ...). Files of VTK have points and point
-    data. Arrays other than positions and volumes become fields; "id" is left out, and "tag" is the
-    tag of points, so that points written by `fenicsmpm.io.write` can be read (volume "weight").
+    The first line of a .csv file names its columns: "x", "y", in 3D "z", the volume, and others. A
+    .npz file has positions "x" of shape (n, d) and arrays of shape (n, ...). Files of VTK have
+    points and point data. All other arrays become fields, but for "id", which is ignored, and
+    "tag", which gives the tags. Points written by `fenicsmpm.io.write` can thus be read with
+    ``volume="weight"``.
 
     Args:
         mesh: Background mesh.
         path: The file.
-        volume: Name of the volumes in m^d, in 2D per unit thickness.
+        volume: Name of the array of volumes in m^d, in 2D per unit thickness.
         tag: Tag of the points, unless the file has tags.
 
     Returns:
@@ -186,9 +205,9 @@ def read_cloud(
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: For other types of files, missing positions or volumes, arrays of other lengths,
-            volumes that are not positive, and in the plane a third coordinate other than 0.
+            volumes that are not positive, and in 2D third coordinates other than 0.
         PointsOutsideError: If some point is outside of the mesh.
-        ImportError: For files of VTK without pyvista.
+        ImportError: For files of VTK, if pyvista is not installed.
     """
     dim, comm = mesh.geometry.dim, mesh.comm
     arrays = on_rank_0(path, comm, lambda file: _cloud(file, dim, volume)) or {}
@@ -201,7 +220,7 @@ def read_cloud(
 
 
 def _cloud(file: Path, dim: int, volume: str) -> dict[str, npt.NDArray[np.float64]]:
-    """Arrays of a cloud: "x" with the shape (n, dim), the volume, fields."""
+    """Return the arrays of a cloud: "x" of shape (n, dim), the volume, fields."""
     kind = file.suffix.lower()
     if kind == ".npz":
         with np.load(file) as stored:
@@ -214,13 +233,13 @@ def _cloud(file: Path, dim: int, volume: str) -> dict[str, npt.NDArray[np.float6
         arrays["x"] = np.asarray(data.points)
     if "x" not in arrays or volume not in arrays:
         raise ValueError(
-            f"{file}: a cloud needs positions 'x' and '{volume}', but has {', '.join(arrays)}"
+            f"{file}: a cloud needs 'x' and '{volume}', but has {', '.join(arrays) or 'nothing'}"
         )
     x = np.asarray(arrays["x"], dtype=np.float64)
     if x.ndim != 2 or x.shape[1] < dim or np.any(x[:, dim:] != 0.0):
         raise ValueError(
-            f"{file}: positions of the shape {x.shape} for a mesh of {dim} dimensions"
-            + (", with a third coordinate that is not 0" if x.ndim == 2 else "")
+            f"{file}: positions of shape {x.shape} do not fit a mesh of {dim} dimensions"
+            + (", or their third coordinates are not 0" if x.ndim == 2 else "")
         )
     return {name: np.asarray(a, dtype=np.float64) for name, a in arrays.items()} | {
         "x": x[:, :dim].copy()
@@ -228,21 +247,24 @@ def _cloud(file: Path, dim: int, volume: str) -> dict[str, npt.NDArray[np.float6
 
 
 def _columns(file: Path) -> dict[str, npt.NDArray]:
-    """Columns of a .csv file by their names, coordinates as "x"."""
+    """Return the columns of a .csv file by name, with the coordinates as "x"."""
     names = [name.strip() for name in file.read_text().partition("\n")[0].split(",")]
     table = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
     if table.shape[1] != len(names):
-        raise ValueError(f"{file}: {len(names)} names in the first line, {table.shape[1]} columns")
+        raise ValueError(
+            f"{file}: the first line has {len(names)} names for {table.shape[1]} columns of numbers"
+        )
     columns: dict[str, npt.NDArray] = {name: table[:, i] for i, name in enumerate(names)}
     places = [columns.pop(name) for name in ("x", "y", "z") if name in columns]
     return columns | {"x": np.stack(places, axis=1)} if places else columns
 
 
 def _vtk_data(file: Path, kinds: tuple[str, ...], what: str, *others: str) -> pyvista.DataSet:
-    """What pyvista reads, if the name of the file ends in one of some kinds."""
+    """Read a file with pyvista, if its name ends in one of the given kinds."""
     if file.suffix.lower() not in kinds:
         raise ValueError(
-            f"{file}: {what} is a file {', '.join([*others, *kinds])}, not '{file.suffix}'"
+            f"{file}: {what} is read from {', '.join([*others, *kinds])} files, "
+            f"not from '{file.suffix}'"
         )
     import pyvista
 

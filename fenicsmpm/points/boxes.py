@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Cells that are equal axis-parallel boxes on a lattice: where they are follows from their numbers.
+"""Meshes whose cells are equal axis-parallel boxes on a lattice.
 
-Large rooms that are mostly empty are meshes of this kind, so that no number is kept for each cell
-but its place, and the cell at each place.
+Positions of such cells follow from their numbers. Large domains that are mostly empty are meshed
+this way, so only two numbers are stored: the place of each cell, and the cell at each place.
 """
 
 import itertools
@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 from fenicsmpm._njit import njit
 
-# How far, in units of a cell, nodes of a lattice may be off their places.
+# Largest distance of a node from its lattice place, in units of a cell.
 _SLACK = 1e-9
 
 
 class Boxes(NamedTuple):
-    """The lattice, and this rank's cells (owned and ghosts) in it, in a form numba understands.
+    """The lattice and this rank's cells (owned and ghosts), as a tuple that numba understands.
 
     Cells may be turned: axis a of the reference cell is direction ``axis[turn, a]`` of the lattice,
     downwards if ``down[turn, a]``.
@@ -30,12 +30,12 @@ class Boxes(NamedTuple):
         spacing: Size of a cell, shape (d,), in m.
         shape: Number of cells of the whole mesh in each direction, shape (d,), int64.
         first: Lowest number of this rank's cells in each direction, shape (d,), int64.
-        box: How many numbers this rank's cells take in each direction, shape (d,), int64.
-        number: Place of each cell in that box, the last direction fastest, int32.
+        box: Size of the bounding box of this rank's cells in cells, shape (d,), int64.
+        number: Place of each cell in that box, last direction fastest, int32.
         cell: Local cell at each place of that box, -1 for none, int32.
-        turn: Of each cell; of all cells, if it has one entry. uint8.
-        axis: Shape (turns, d), int64.
-        down: Shape (turns, d), bool.
+        turn: Turn of each cell, uint8; one entry if it is the same for all cells.
+        axis: Lattice direction of each reference axis, shape (turns, d), int64.
+        down: Whether the reference axis points downwards, shape (turns, d), bool.
     """
 
     origin: npt.NDArray[np.float64]
@@ -50,12 +50,12 @@ class Boxes(NamedTuple):
     down: npt.NDArray[np.bool_]
 
     def numbers(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-        """Numbers of `cells` (n,) in each direction, from 0 at the origin, shape (n, d)."""
+        """Return numbers of `cells` (n,) in each direction, from 0 at the origin, shape (n, d)."""
         places = np.unravel_index(self.number[cells], tuple(self.box))
         return self.first + np.stack(places, axis=-1).astype(np.int64)
 
     def at(self, index: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
-        """Local cells by numbers (..., d), -1 for not on this rank, shape (...)."""
+        """Return local cells by numbers (..., d), -1 if not on this rank, shape (...)."""
         inside = np.all((index >= self.first) & (index < self.first + self.box), axis=-1)
         result = np.full(index.shape[:-1], -1, dtype=np.int32)
         places = np.moveaxis(index[inside] - self.first, -1, 0)
@@ -63,24 +63,24 @@ class Boxes(NamedTuple):
         return result
 
     def turns(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
-        """The turn of each of `cells` (n,)."""
+        """Return the turn of each of `cells` (n,)."""
         return self.turn[cells] if len(self.turn) > 1 else np.broadcast_to(self.turn, len(cells))
 
     def corners(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """Vertices of `cells` (n,) in m, in the order of dolfinx, shape (n, 2**d, d)."""
+        """Return the vertices of `cells` (n,) in m, in dolfinx's order, shape (n, 2**d, d)."""
         offsets = np.array([self._offsets(t) for t in range(len(self.axis))])
         index = self.numbers(cells)[:, None, :] + offsets[self.turns(cells)]
         return self.origin + index * self.spacing
 
     def vertex(self, cells: npt.NDArray[np.int32], upper: npt.NDArray) -> npt.NDArray[np.int64]:
-        """Which vertex of each cell is at one corner of the boxes.
+        """Return the vertex of each cell that lies at a given corner of the box.
 
         Args:
-            cells: Shape (n,).
-            upper: 1 in directions in which it is the upper corner, else 0, shape (d,).
+            cells: Local cells, shape (n,).
+            upper: 1 in directions in which the corner is the upper one, else 0, shape (d,).
 
         Returns:
-            Numbers from 0 to 2**d - 1, shape (n,).
+            Local vertex numbers from 0 to 2**d - 1, shape (n,).
         """
         of_turn = [
             int(np.flatnonzero((self._offsets(t) == upper).all(axis=1))[0])
@@ -89,24 +89,24 @@ class Boxes(NamedTuple):
         return np.array(of_turn, dtype=np.int64)[self.turns(cells)]
 
     def _offsets(self, turn: int) -> npt.NDArray[np.int64]:
-        """Vertices of a cell of size one, (2**d, d): 0 or 1."""
+        """Return the vertices (0 or 1) of a cell of size one, shape (2**d, d)."""
         d = len(self.box)
-        # vertex v is at the end of reference axis a, if bit a of v is set
+        # vertex v lies at the end of reference axis a if bit a of v is set
         reference = np.arange(2**d)[:, None] >> np.arange(d) & 1
         result = np.empty_like(reference)
         result[:, self.axis[turn]] = reference ^ self.down[turn]
         return result
 
     def jacobian(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """dx/dxi in `cells` (n,), shape (n, d, d)."""
+        """Return dx/dxi in `cells` (n,), shape (n, d, d)."""
         return self._axes(self.spacing)[self.turns(cells)]
 
     def inverse_jacobian(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """dxi/dx in `cells` (n,), shape (n, d, d)."""
+        """Return dxi/dx in `cells` (n,), shape (n, d, d)."""
         return np.swapaxes(self._axes(1.0 / self.spacing), 1, 2)[self.turns(cells)]
 
     def _axes(self, length: npt.NDArray) -> npt.NDArray[np.float64]:
-        """(turns, d, d): column a points along reference axis a."""
+        """Return matrices (turns, d, d) whose column a points along reference axis a."""
         turns, d = self.axis.shape
         result = np.zeros((turns, d, d))
         for t, a in itertools.product(range(turns), range(d)):
@@ -117,7 +117,7 @@ class Boxes(NamedTuple):
     def push_forward(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Positions in m of points with reference coordinates xi (n, d) in `cells` (n,)."""
+        """Return positions in m of points with reference coordinates xi (n, d) in `cells` (n,)."""
         x = np.empty(xi.shape)
         _push_forward(self, cells, xi, x)
         return x
@@ -126,17 +126,17 @@ class Boxes(NamedTuple):
 def find_boxes(
     comm: MPI.Intracomm, x: npt.NDArray[np.float64], nodes: npt.NDArray[np.int32], dim: int
 ) -> tuple[Boxes | None, float]:
-    """The lattice that a mesh is. Collective.
+    """Find out whether a mesh is a lattice of equal boxes. Collective.
 
     Args:
         comm: Communicator of the mesh.
         x: This rank's nodes in m, shape (n, 3).
-        nodes: Of each cell, shape (cells, vertices).
+        nodes: Nodes of each cell, shape (cells, vertices).
         dim: Dimension d of the cells.
 
     Returns:
-        The lattice, or None if the mesh is none on some rank; and how far, in units of a cell, a
-        node of any rank is off its place. Holes are allowed.
+        The lattice, or None if the mesh is none on some rank; and the largest distance of a node
+        of any rank from its place, in units of a cell. Holes in the mesh are allowed.
     """
     nothing = None, np.inf
     if nodes.shape[1] != 2**dim:
@@ -159,7 +159,7 @@ def find_boxes(
     if here is not None:
         low = np.rint((here[1] - origin) / spacing).astype(np.int64)
         box = np.rint((here[2] - origin) / spacing).astype(np.int64) - low
-    # few cells in a large box (bodies far apart) must not cost much memory
+    # A few cells in a large box (bodies far apart) must not cost much memory.
     fits = np.prod(box.astype(np.float64)) <= 8 * len(nodes) + 1000
     off = np.inf
     if fits:
@@ -182,12 +182,13 @@ def find_boxes(
 def _place_cells(  # type: ignore[no-untyped-def]
     x, nodes, origin, spacing, first, box, number, cell, code
 ):
-    """Fill the tables of `Boxes`; the turn is coded by base 6.
+    """Fill the tables of `Boxes`; the turn is coded in base 6.
 
-    Digit a is twice the direction of reference axis a, and one more if it goes downwards.
+    Digit a is twice the direction of reference axis a, plus one if the axis points downwards.
 
     Returns:
-        How far a node is off its place, in units of a cell; infinity if the cells are no boxes.
+        Largest distance of a node from its place, in units of a cell; infinity if the cells are
+        no boxes.
     """
     dim = len(origin)
     off = 0.0
@@ -234,10 +235,10 @@ def _place_cells(  # type: ignore[no-untyped-def]
 
 @njit
 def locate_in_boxes(boxes: Boxes, key, tolerance, count, x, cell, xi):  # type: ignore[no-untyped-def]
-    """Cells `cell` (n,), -1 for none, and reference coordinates xi (n, d) of points x (n, d).
+    """Find cells `cell` (n,), -1 for none, and reference coordinates xi (n, d) of points x (n, d).
 
-    Only the first `count` cells are looked at. A point within the tolerance of a facet is in the
-    one of lowest `key` that touches it.
+    Only the first `count` cells are searched. A point within the tolerance of a facet is in the
+    cell of lowest `key` that touches it.
     """
     n, d = x.shape
     for p in range(n):
@@ -269,13 +270,17 @@ def locate_in_boxes(boxes: Boxes, key, tolerance, count, x, cell, xi):  # type: 
 
 @njit
 def all_owned(boxes: Boxes, count, lower, upper):  # type: ignore[no-untyped-def]
-    """Whether all cells with the numbers ``lower ... upper``, ``(n, 3)`` each, are of this rank.
+    """Return whether this rank owns all cells with numbers from ``lower`` to ``upper``.
 
     Args:
-        boxes: the lattice.
-        count: of cells that this rank owns.
-        lower: lowest number in each direction; 0 in directions that the lattice does not have.
-        upper: highest number.
+        boxes: The lattice.
+        count: Number of cells that this rank owns.
+        lower: Lowest number in each direction, shape (n, 3); 0 in directions that the lattice
+            does not have.
+        upper: Highest number, likewise.
+
+    Returns:
+        Mask of shape (n,).
     """
     result = np.ones(len(lower), dtype=np.bool_)
     d = len(boxes.box)
@@ -298,15 +303,15 @@ def all_owned(boxes: Boxes, count, lower, upper):  # type: ignore[no-untyped-def
 
 @njit
 def _touching(boxes: Boxes, key, tolerance, count, place, s):  # type: ignore[no-untyped-def]
-    """The cell of lowest key that touches a point; s (d,) becomes the position in it.
+    """Return the cell of lowest key that touches a point; s (d,) becomes the position in it.
 
     Args:
         boxes: The lattice.
-        key: Of the cells.
+        key: Keys of the cells.
         tolerance: Distance up to which cells touch a point, in units of a cell.
-        count: Cells from here on are not looked at.
+        count: Number of cells to consider.
         place: A place that touches the point.
-        s: Position of the point in it from 0 to 1, up to the tolerance.
+        s: Position of the point at this place, from 0 to 1 up to the tolerance.
     """
     d = len(s)
     best, best_way = -1, 0
@@ -336,13 +341,13 @@ def _touching(boxes: Boxes, key, tolerance, count, place, s):  # type: ignore[no
 
 @njit
 def _step(s, tolerance):  # type: ignore[no-untyped-def]
-    """To which neighbour a position s in a cell is near: below, -1, above, 1, or none, 0."""
+    """Return the neighbour near a position s in a cell: -1 below, 1 above, 0 none."""
     return -1 if s <= tolerance else 1 if s >= 1.0 - tolerance else 0
 
 
 @njit
 def _turn(boxes: Boxes, c, s):  # type: ignore[no-untyped-def]
-    """From the position s (d,) along the directions of the lattice to reference coordinates."""
+    """Turn the position s (d,) along the lattice directions into reference coordinates."""
     t = boxes.turn[c] if len(boxes.turn) > 1 else boxes.turn[0]
     s0, s1, s2 = s[0], s[1], s[len(s) - 1]
     for a in range(len(s)):
@@ -353,7 +358,7 @@ def _turn(boxes: Boxes, c, s):  # type: ignore[no-untyped-def]
 
 @njit
 def pull_back_to_boxes(boxes: Boxes, x, cell, xi):  # type: ignore[no-untyped-def]
-    """Reference coordinates xi (n, d) of points x (n, d) in given cells (n,)."""
+    """Compute reference coordinates xi (n, d) of points x (n, d) in given cells (n,)."""
     for p in range(len(x)):
         rest = boxes.number[cell[p]]
         for i in range(x.shape[1] - 1, -1, -1):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies from cells of another mesh, such as a physical group of a Gmsh file.
+"""Bodies from the cells of another mesh, such as a physical group of a Gmsh file.
 
 All functions are collective.
 """
@@ -26,7 +26,7 @@ from fenicsmpm.points.material_points import MaterialPoints
 from fenicsmpm.points.seeding import fill
 from fenicsmpm.shapes import Solid
 
-# Gmsh's types of cells: dolfinx' names, and the order of their vertices in dolfinx
+# Cell types of Gmsh: the name in dolfinx, and the order of the vertices in dolfinx
 _KINDS = {
     2: ("triangle", [0, 1, 2]),
     3: ("quadrilateral", [0, 1, 3, 2]),
@@ -41,27 +41,30 @@ def read_cells(
     dim: int,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
 ) -> Mesh:
-    """The cells of physical groups in a file of Gmsh, as a mesh of their own.
+    """Read the cells of physical groups from a Gmsh file into a mesh of their own. Collective.
 
-    Rank 0 reads. For bodies: `in_cells` puts points into the cells, `boundary_of` gives the solid
-    that they fill. `fill`, `quadrature` and `on_facets` take the mesh, too; `from_mesh` then brings
-    the points to the background mesh.
+    Rank 0 reads the file. To make a body of the mesh, `in_cells` puts points into its cells, and
+    `boundary_of` returns the solid that they fill. `fill`, `quadrature` and `on_facets` also take
+    the mesh; `from_mesh` then brings the points to the background mesh.
 
     Args:
-        path: File .msh (or another one with a mesh that Gmsh opens).
-        group: Name or number of a physical group of cells, or several.
+        path: File .msh, or another file with a mesh that Gmsh opens.
+        group: Name or number of a physical group of cells, or a sequence of these.
         dim: Dimension d of the cells and of space, 2 or 3.
-        comm: Ranks that share the cells.
+        comm: Communicator of the ranks that share the cells.
+
+    Returns:
+        The mesh, with coordinates in the unit of the file.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: For files that Gmsh does not understand, groups that are not there or empty,
-            cells that are curved or of several kinds, and in the plane nodes out of it.
-        ImportError: Without Gmsh's Python module.
+        ValueError: For files that Gmsh cannot read, groups that are missing or empty, cells that
+            are curved or of several types, and in 2D nodes outside of the plane z = 0.
+        ImportError: If the Python module of Gmsh is not installed.
     """
     groups = [group] if isinstance(group, str | int) else list(group)
     if dim not in (2, 3):
-        raise ValueError(f"cells of dimension 2 or 3 are possible, not {dim}")
+        raise ValueError(f"dim must be 2 or 3, not {dim}")
     read = on_rank_0(path, comm, lambda file: _read(file, groups, dim))
     kind, vertices = comm.bcast(None if read is None else (read[0], read[2].shape[1]))
     x, cells = (np.zeros((0, dim)), np.zeros((0, vertices), np.int64)) if read is None else read[1:]
@@ -72,7 +75,7 @@ def read_cells(
 def _read(
     file: Path, groups: Sequence[str | int], dim: int
 ) -> tuple[str, npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Kind of the cells, positions (m, dim) of their nodes, and numbers of these (n, k)."""
+    """Return the cell type, positions (m, dim) of the nodes, and node numbers (n, k) of cells."""
     import gmsh
 
     own = not gmsh.isInitialized()
@@ -83,8 +86,8 @@ def _read(
     try:
         try:
             gmsh.open(str(file))
-        except Exception as error:  # Gmsh raises nothing more special
-            raise ValueError(f"{file}: Gmsh cannot read it: {error}") from error
+        except Exception as error:  # Gmsh has no exceptions of its own
+            raise ValueError(f"{file}: Gmsh cannot read this file: {error}") from error
         found = _cells_of(gmsh.model, file, groups, dim)
         gmsh.model.remove()
     finally:
@@ -98,9 +101,9 @@ def _read(
 def _cells_of(
     model: Any, file: Path, groups: Sequence[str | int], dim: int
 ) -> tuple[str, npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """What `_read` returns, from Gmsh's current model."""
+    """Return the cells of physical groups in Gmsh's current model, in the form of `_read`."""
     known = {tag: model.getPhysicalName(dim, tag) for _, tag in model.getPhysicalGroups(dim)}
-    entities: dict[int, None] = {}  # in the order of groups, each once
+    entities: dict[int, None] = {}  # in the order of the groups, each entity once
     for group in groups:
         tags = [tag for tag, name in known.items() if group in (tag, name)]
         if not tags:
@@ -109,7 +112,7 @@ def _cells_of(
                 for d, tag in model.getPhysicalGroups()
             )
             raise ValueError(
-                f"{file}: no physical group {group!r} of dimension {dim}, there are: "
+                f"{file}: no physical group {group!r} of dimension {dim}; available are: "
                 f"{listed or 'none'}"
             )
         for tag in tags:
@@ -122,8 +125,8 @@ def _cells_of(
     if len(nodes) != 1 or not nodes.keys() <= _KINDS.keys():
         names = [model.mesh.getElementProperties(kind)[0] for kind in nodes]
         raise ValueError(
-            f"{file}: the cells of {', '.join(map(repr, groups))} must be all triangles, "
-            "quadrilaterals, tetrahedra or hexahedra with straight sides, not "
+            f"{file}: all cells of {', '.join(map(repr, groups))} must be triangles, "
+            "quadrilaterals, tetrahedra or hexahedra, of one type and with straight edges, not "
             f"{' and '.join(names) or 'none at all'}"
         )
     [(kind, parts)] = nodes.items()
@@ -134,21 +137,24 @@ def _cells_of(
     rows = by_tag[np.searchsorted(tags, used, sorter=by_tag)]
     positions = np.asarray(x, dtype=np.float64).reshape(-1, 3)[rows]
     if np.any(positions[:, dim:] != 0.0):
-        raise ValueError(f"{file}: cells of dimension {dim} have nodes out of the plane z = 0")
+        raise ValueError(f"{file}: cells of dimension {dim} have nodes outside of the plane z = 0")
     return name, positions[:, :dim].copy(), cells.reshape(-1, len(order))[:, order]
 
 
 def in_cells(background: Mesh, part: Mesh, spacing: float, tag: int = 0) -> MaterialPoints:
-    """Points in the cells of another mesh, on the background mesh.
+    """Seed points in the cells of another mesh and put them on the background mesh.
 
     Each cell is cut into k^d equal parts as in `fill`, with the smallest k for which its longest
-    edge is no longer than k spacings. Volumes of a cell's points add up to that of the cell.
+    edge is no longer than k spacings. The points of a cell share its volume.
 
     Args:
         background: Mesh to put the points on, on the same ranks.
         part: The other mesh.
-        spacing: Largest distance of points in m, about.
+        spacing: Approximate largest distance of points in m.
         tag: Tag of the points.
+
+    Returns:
+        The points; their weights are volumes in m^d, in 2D per unit thickness.
 
     Raises:
         TypeError: If the part is no mesh.
@@ -178,7 +184,7 @@ def in_cells(background: Mesh, part: Mesh, spacing: float, tag: int = 0) -> Mate
 
 
 def _longest_edge(mesh: Mesh, dim: int) -> npt.NDArray[np.float64]:
-    """Of each cell in m, (n,)."""
+    """Return the longest edge of each cell in m, shape (n,)."""
     x = mesh.geometry.x[_compat.geometry_dofmap(mesh)]
     edges = np.array(basix.topology(getattr(basix.CellType, mesh.topology.cell_type.name))[1])
     lengths = np.linalg.norm(x[:, edges[:, 0]] - x[:, edges[:, 1]], axis=2)
@@ -186,13 +192,16 @@ def _longest_edge(mesh: Mesh, dim: int) -> npt.NDArray[np.float64]:
 
 
 def boundary_of(part: Mesh) -> Solid:
-    """The solid that the cells of a mesh fill, on all ranks.
+    """Return the solid that the cells of a mesh fill, on all ranks.
 
-    Its facets are those of the cells that have no cell behind them, in the order of the mesh as it
-    was input; those of hexahedra are two triangles.
+    The boundary of the solid consists of the facets with one cell only, in the order of the cells
+    in the input mesh. A facet of a hexahedron becomes two triangles.
 
     Args:
         part: Mesh of triangles, quadrilaterals, tetrahedra or hexahedra.
+
+    Returns:
+        The solid, with lengths in the unit of the mesh.
     """
     geometry = cell_geometry(part)
     d, topology = geometry.dim, part.topology
@@ -209,7 +218,7 @@ def boundary_of(part: Mesh) -> Solid:
         np.take_along_axis(_compat.geometry_dofmap(part)[cell], local[side], axis=1)
     ][:, :, :d]
     middle = part.geometry.x[_compat.geometry_dofmap(part)[cell]].mean(axis=1)[:, :d]
-    if vertices.shape[1] == 4:  # quadrilaterals of dolfinx have the third vertex above the first
+    if vertices.shape[1] == 4:  # quadrilaterals: a tensor product of vertices in dolfinx
         vertices = vertices[:, [[0, 1, 3], [0, 3, 2]]].reshape(-1, 3, 3)
         middle = np.repeat(middle, 2, axis=0)
     inwards = np.linalg.det(vertices - middle[:, None]) < 0.0

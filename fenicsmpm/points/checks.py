@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of what users pass. They return an error, as all ranks have to raise it together."""
+"""Checks of user input. They return errors, which the caller raises on all ranks together."""
 
 from collections.abc import Iterable, Mapping
 
@@ -17,7 +17,7 @@ Checked = tuple[ValueError | None, dict[str, npt.NDArray]]
 def check_positions(
     x: npt.ArrayLike, dim: int, count: int | None = None
 ) -> tuple[ValueError | None, npt.NDArray[np.float64]]:
-    """A copy of positions (n, dim) in float64, checked to be finite and, if asked, `count` rows."""
+    """Copy positions to float64 and check their shape (n, dim), values, and `count` if given."""
     try:
         positions = np.array(x, dtype=np.float64, order="C")
     except (TypeError, ValueError) as e:
@@ -25,7 +25,7 @@ def check_positions(
     if positions.ndim != 2 or positions.shape[1] != dim:
         return ValueError(f"positions need the shape (n, {dim}), not {positions.shape}"), positions
     if count is not None and len(positions) != count:
-        return ValueError(f"{len(positions)} positions for {count} points"), positions
+        return ValueError(f"{len(positions)} positions were given for {count} points"), positions
     bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
     if len(bad):
         return ValueError(
@@ -46,7 +46,7 @@ def check_input(
     fields: Mapping[str, npt.ArrayLike] | None,
     reserved: Iterable[str],
 ) -> Checked:
-    """Check and copy what points are made of, see `MaterialPoints`."""
+    """Check and copy the arguments of `MaterialPoints`."""
     error, positions = check_positions(x, locator.geometry.dim)
     data: dict[str, npt.NDArray] = {"x": positions}
     if error:
@@ -63,17 +63,17 @@ def check_input(
             _check_cells(data["cell"], locator.geometry.num_cells, -1 if xi is None else 0)
         if xi is not None:
             if cells is None:
-                raise ValueError("reference coordinates xi need the cells they belong to")
+                raise ValueError("xi needs cells, too: reference coordinates refer to a cell")
             data["xi"] = np.array(xi, dtype=np.float64, order="C")
             _check_reference(locator, data)
         for name, value in (fields or {}).items():
             if name in reserved:
-                raise ValueError(f"'{name}' cannot be the name of a field: every point has it")
+                raise ValueError(f"'{name}' cannot be the name of a field: all points have it")
             data[name] = np.array(value, dtype=np.float64, order="C")
             if data[name].shape[:1] != (n,):
                 raise ValueError(
-                    f"field '{name}' of shape {data[name].shape} for {n} points: the point index "
-                    "comes first"
+                    f"field '{name}' of shape {data[name].shape} does not fit {n} points: the "
+                    "first index must be the point"
                 )
     except ValueError as e:
         return e, data
@@ -81,13 +81,13 @@ def check_input(
 
 
 def check_fields(comm: MPI.Comm, data: Mapping[str, npt.NDArray]) -> ValueError | None:
-    """Whether all ranks have the same fields. Collective."""
+    """Return an error unless all ranks have the same fields. Collective."""
     mine = {name: a.shape[1:] for name, a in data.items()}
     first = comm.bcast(mine)
     if mine != first or list(mine) != list(first):
         return ValueError(
             f"arrays and value shapes of points on rank {comm.rank} are {mine}, on rank 0 {first}: "
-            "pass the same on all ranks (arrays of no rows where there are no points)"
+            "pass the same on all ranks (arrays with no rows where there are no points)"
         )
     return None
 
@@ -98,7 +98,7 @@ def check_same_fields(mine: Mapping[str, npt.NDArray], theirs: Mapping[str, npt.
     if first != second:
         raise ValueError(
             f"points with {_listed(second - first)} cannot be added to points with "
-            f"{_listed(first - second)}: the fields must be the same"
+            f"{_listed(first - second)}: add the missing fields first"
         )
 
 
@@ -110,7 +110,10 @@ def _listed(fields: set[tuple[str, tuple[int, ...]]]) -> str:
 def check_selection(
     which: npt.ArrayLike | OfPosition, x: npt.NDArray[np.float64]
 ) -> tuple[Exception | None, npt.NDArray[np.bool_]]:
-    """Mask of the points at x (n, d) given by a mask, indices, or a marker."""
+    """Return an error, or None, and the mask selected by a mask, indices, or a marker.
+
+    The points are at x, shape (n, d).
+    """
     if callable(which):
         return mask_at(which, x)
     n = len(x)
@@ -120,13 +123,16 @@ def check_selection(
         return None, given
     if given.dtype == bool:
         return ValueError(
-            f"a mask of points needs shape ({n},) and bool values, not {given.shape} and "
-            f"{given.dtype}"
+            f"a mask of points needs shape ({n},) and bool values, not shape {given.shape} and "
+            f"type {given.dtype}"
         ), mask
     if given.size == 0:
         return None, mask
     if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        return ValueError(f"neither mask nor indices of points: {given.dtype} {given.shape}"), mask
+        return ValueError(
+            "points are selected by a mask or by indices of shape (m,), not by an array of type "
+            f"{given.dtype} and shape {given.shape}"
+        ), mask
     if given.min() < 0 or given.max() >= n:
         return ValueError(
             f"indices of points must be 0 to {n - 1}, not {given.min()} to {given.max()}"
@@ -138,7 +144,7 @@ def check_selection(
 def _column(name: str, value: npt.ArrayLike, n: int, dtype: type) -> npt.NDArray:
     given = np.asarray(value)
     if given.shape not in ((), (n,)):
-        raise ValueError(f"{name} of shape {given.shape} for {n} points: needs ({n},)")
+        raise ValueError(f"{name} of shape {given.shape} does not fit {n} points: it needs ({n},)")
     column: npt.NDArray = np.empty(n, dtype=dtype)
     column[...] = given
     return column
@@ -166,17 +172,17 @@ def _check_cells(cell: npt.NDArray[np.int32], num_cells: int, lowest: int) -> No
 def _check_reference(locator: Locator, data: Mapping[str, npt.NDArray]) -> None:
     x, xi, cell = data["x"], data["xi"], data["cell"]
     if xi.shape != x.shape:
-        raise ValueError(f"xi of shape {xi.shape} for positions of shape {x.shape}")
+        raise ValueError(f"xi of shape {xi.shape} does not fit positions of shape {x.shape}")
     bad = np.flatnonzero(~locator.agrees(x, xi, cell))
     if len(bad):
         raise ValueError(
-            f"xi and cells do not give the positions: {len(bad)} of {len(x)}, first point {bad[0]} "
-            f"at {x[bad[0]]}; leave xi out to have the points located"
+            f"xi and cells do not give the positions of {len(bad)} of {len(x)} points, first of "
+            f"point {bad[0]} at {x[bad[0]]}; leave xi out to have the points located"
         )
 
 
 def assign(name: str, array: npt.NDArray, value: npt.ArrayLike) -> None:
-    """Fill a field, telling values a point from one value for all."""
+    """Fill the array of a field with one value for all points or one value per point."""
     given = np.asarray(value)
     if given.shape not in (array.shape, array.shape[1:], ()):
         raise ValueError(

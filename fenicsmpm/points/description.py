@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What printing material points says."""
+"""The text that is printed for material points."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def facts_of(points: MaterialPoints) -> Facts:
-    """Numbers of points and cells, weight, bounds and fields, of this rank.
+    """Return numbers of points and cells, weight, bounds and fields on this rank.
 
     Args:
-        points: Point set.
+        points: The point set.
     """
     comm = points.mesh.comm
     where = f" on rank {comm.rank} of {comm.size}" if comm.size > 1 else ""
@@ -31,7 +31,7 @@ def facts_of(points: MaterialPoints) -> Facts:
         each = str(a) if a == b else f"{a} to {b}, {count.mean():.3g} on average"
         x = points.x
         lower, upper = (np.array2string(b, precision=6) for b in (x.min(0), x.max(0)))
-        # read only: nobody is told that it may have changed
+        # do not mark the field as possibly changed
         weight = points._data["weight"].sum()
         facts += [
             ("in cells", f"{len(count)} of {n_cells}"),

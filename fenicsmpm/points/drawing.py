@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What draws points: `fenicsmpm.io.picture`, some floors above, which registers itself here."""
+"""Hook for drawing points: `fenicsmpm.io.picture`, a higher floor, registers itself here."""
 
 from collections.abc import Callable
 

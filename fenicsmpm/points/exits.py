@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What happens to points that leave the background mesh."""
+"""Treatment of points that leave the background mesh."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ logger = logging.getLogger(__name__)
 
 
 class Exits:
-    """Moves points, some of which may leave the mesh.
+    """Motion of points some of which may leave the mesh.
 
     Args:
-        on_exit: for points that leave the mesh: "error" raises, "delete" removes them, "clamp"
-            leaves them on their way where they are still inside.
+        on_exit: Treatment of points that leave the mesh: "error" raises, "delete" removes them,
+            "clamp" stops them on their way while they are still inside.
 
     Attributes:
-        on_exit: as above.
-        held: ids of the points of each set that were held back so far, on all ranks.
+        on_exit: As above.
+        held: Ids of the points of each set that were held back so far, on all ranks.
 
     Raises:
-        ValueError: for another value of ``on_exit``.
+        ValueError: For another value of ``on_exit``.
     """
 
     def __init__(self, on_exit: str = "error") -> None:
-        """Nothing has left yet."""
+        """Set the treatment; nothing has left yet."""
         if on_exit not in ("error", "delete", "clamp"):
-            raise ValueError(f"on_exit must be one of error, delete, clamp, not {on_exit!r}")
+            raise ValueError(f"on_exit must be 'error', 'delete' or 'clamp', not {on_exit!r}")
         self.on_exit = on_exit
         self.held: dict[MaterialPoints, npt.NDArray[np.int64]] = {}
         self._is_said = False
@@ -40,14 +40,14 @@ class Exits:
     def move(self, points: MaterialPoints, x: npt.NDArray[np.float64]) -> int:
         """Move points. Collective.
 
-        Where a point is held back, so is its field "u" of displacements, if there is one.
+        If a point is held back, its field "u" of displacements is reduced accordingly.
 
         Args:
-            points: Point set.
+            points: The point set.
             x: New positions in m, shape (n, d).
 
         Returns:
-            How many points left the mesh, on all ranks, but for those that were held back before.
+            Number of points that left the mesh on all ranks, except those held back before.
 
         Raises:
             PointsOutsideError: On all ranks, for "error".
@@ -69,14 +69,14 @@ class Exits:
         return count
 
     def _count(self, points: MaterialPoints, ids: npt.NDArray[np.int64]) -> int:
-        """How many of the points with these ids on each rank are held back for the first time."""
+        """Return how many of the points with these ids are held back for the first time."""
         before = self.held.get(points, np.empty(0, dtype=np.int64))
         new = np.concatenate(points.mesh.comm.allgather(np.setdiff1d(ids, before)))
         self.held[points] = np.concatenate([before, new])
         if not self._is_said:
             logger.warning(
-                "%d points left the background mesh and were held back; what follows them is not "
-                "said again, Step.removed counts it",
+                "%d points left the background mesh and were held back; later ones are not "
+                "logged, Step.removed counts them",
                 len(new),
             )
             self._is_said = True
@@ -86,7 +86,7 @@ class Exits:
 def _hold_back(
     points: MaterialPoints, x: npt.NDArray[np.float64], outside: npt.NDArray[np.integer]
 ) -> None:
-    """Move points to x, those outside only half of what is left until all are inside."""
+    """Move points to x. Halve the way of those outside until all are inside."""
     way = x - points.x
     share = np.ones(len(points))
     u = points["u"] if "u" in points else None

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Quadrilaterals and hexahedra that are folded: the determinant of their Jacobian changes its sign.
+"""Detection of folded quadrilaterals and hexahedra, whose Jacobian determinant changes sign.
 
-In a quadrilateral it is linear, so that its values at the corners say all. In a hexahedron it is
-quadratic in each direction and may be negative inside though it is positive at all corners. It lies
-between the least and the greatest of its Bezier coefficients, which come as near to it as one likes
-when the cell is halved (A. Johnen, J.-F. Remacle, C. Geuzaine, "Geometrical validity of curvilinear
-finite elements", Journal of Computational Physics 233, 2013).
+In a quadrilateral the determinant is linear, so its values at the corners decide. In a hexahedron
+it is quadratic in each direction and may be negative inside although it is positive at all corners.
+It lies between the least and the greatest of its Bezier coefficients, which converge to it when the
+cell is halved repeatedly (A. Johnen, J.-F. Remacle, C. Geuzaine, "Geometrical validity of
+curvilinear finite elements", Journal of Computational Physics 233, 2013).
 """
 
 import functools
@@ -16,16 +16,16 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# What determinants may be off by, in units of the largest one in the cell. Corners at which two
-# edges are in line, where it is zero, are allowed.
+# Tolerance of determinants in units of the largest one in the cell. It allows corners at which two
+# edges are in line, where the determinant is zero.
 _ROUND_OFF = 1e-12
 
-# How often hexahedra are halved that are not decided before. Then the determinant is nowhere below
-# about -4^-6 of the largest one.
+# Largest number of halvings of hexahedra that are still undecided. The determinant is then nowhere
+# below about -4^-6 of the largest one.
 _HALVINGS = 6
 
-# Values at 0, 1/2, 1 of a quadratic polynomial to its Bezier coefficients, and to its values at the
-# same places of the lower and the upper half.
+# Matrices from the values of a quadratic polynomial at 0, 1/2, 1 to its Bezier coefficients, and to
+# its values at the same places of the lower and the upper half.
 _BEZIER = np.array([[1.0, 0.0, 0.0], [-0.5, 2.0, -0.5], [0.0, 0.0, 1.0]])
 _LOWER = np.array([[1.0, 0.0, 0.0], [0.375, 0.75, -0.125], [0.0, 1.0, 0.0]])
 _UPPER = _LOWER[::-1, ::-1]
@@ -33,18 +33,21 @@ _UPPER = _LOWER[::-1, ::-1]
 
 @functools.cache
 def grid(dim: int) -> Array:
-    """Where `folded` wants determinants: corners, centres of edges and faces, centre; (3^d, d)."""
+    """Return the points where `folded` needs determinants, shape (3^d, d).
+
+    They are the corners, the centres of edges and faces, and the centre of the cell.
+    """
     return np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=dim)))
 
 
 def folded(det: Array) -> npt.NDArray[np.bool_]:
-    """Which cells are folded.
+    """Return which cells are folded.
 
     Args:
         det: Determinants of dx/dxi at the points of `grid`, shape (cells, 3^d).
 
     Returns:
-        Shape (cells,).
+        Mask of shape (cells,).
     """
     dim = 2 if det.shape[1] == 9 else 3
     corners = (grid(dim) != 0.5).all(axis=1)
@@ -57,7 +60,7 @@ def folded(det: Array) -> npt.NDArray[np.bool_]:
     )
     largest = np.take_along_axis(det, np.abs(det).argmax(axis=1)[:, None], axis=1)
     result = np.zeros(len(det), dtype=bool)
-    # parts of cells that are not known to be good, and the cells that they are of
+    # parts of cells that are still undecided, and the cells they belong to
     cell = np.flatnonzero(largest)
     part = det[cell] / largest[cell]
     for _ in range(1 + _HALVINGS):

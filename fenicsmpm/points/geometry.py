@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The map from the reference cell to the cells of a mesh with straight edges, for all cells."""
+"""Maps from the reference cell to all cells of a mesh with straight edges."""
 
 import itertools
 import weakref
@@ -18,13 +18,13 @@ from fenicsmpm._njit import njit
 from fenicsmpm.points.boxes import Boxes, find_boxes
 from fenicsmpm.points.folded import folded, grid
 
-# Points outside a cell by less than this part of its size are in it.
+# Points outside a cell by less than this fraction of its size count as inside.
 _TOLERANCE = 1e-12
 
-# Cells that are worked on at a time.
+# Number of cells that are treated at a time.
 _BLOCK = 1 << 14
 
-# Dimension and number of vertices of the cells that are supported.
+# Dimension and number of vertices of the supported cells.
 _CELLS = {
     CellType.triangle: (basix.CellType.triangle, 2, 3),
     CellType.tetrahedron: (basix.CellType.tetrahedron, 3, 4),
@@ -34,11 +34,11 @@ _CELLS = {
 
 
 def monomials(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
-    """The functions in which the cell map is expanded: 1, xi, eta, (zeta), and their products.
+    """Evaluate the functions that span the cell map: 1, xi, eta, (zeta), and their products.
 
     Args:
         xi: Reference coordinates, shape (n, d).
-        count: d + 1 (simplex), 4 (quadrilateral) or 8 (hexahedron).
+        count: Number of functions: d + 1 (simplex), 4 (quadrilateral) or 8 (hexahedron).
 
     Returns:
         Values, shape (n, count).
@@ -53,7 +53,7 @@ def monomials(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64
 
 
 def monomial_gradients(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.float64]:
-    """Gradients of `monomials`, shape (n, count, d)."""
+    """Return the gradients of `monomials`, shape (n, count, d)."""
     n, d = xi.shape
     gradients = np.zeros((n, count, d))
     for k in range(d):
@@ -73,28 +73,28 @@ def monomial_gradients(xi: npt.NDArray[np.float64], count: int) -> npt.NDArray[n
 class CellGeometry:
     """Shapes of the cells (owned and ghosts) of a mesh.
 
-    Those of a lattice follow from the numbers of the cells; for others, arrays are kept.
+    On a lattice they follow from the numbers of the cells; otherwise arrays are stored.
 
     Attributes:
         cell: basix cell type.
         dim: Topological and geometrical dimension d, 2 or 3.
-        boxes: The lattice that the cells are on, if they are equal axis-parallel boxes, else None.
-        stored: x = sum_k stored[c, k] * monomial_k(xi) in m, shape (cells, k, d); None where the
-            shapes follow from `boxes`.
+        boxes: The lattice of the cells, if they are equal axis-parallel boxes, else None.
+        stored: Coefficients of x = sum_k stored[c, k] * monomial_k(xi) in m, shape (cells, k, d);
+            None if the shapes follow from `boxes`.
         num_cells: Number of owned and ghost cells.
-        num_owned: Number of cells that this rank owns; cells from there on are ghosts.
+        num_owned: Number of cells that this rank owns; the cells after them are ghosts.
         first_global: Global index of this rank's cell 0.
-        key: Number of each cell, unique over the mesh: its index in the mesh as it was input where
-            dolfinx knows that (the same on any number of ranks), else its global index. int64.
+        key: Number of each cell, unique in the mesh, int64. It is the index in the input mesh if
+            dolfinx knows it (the same on any number of ranks), else the global index.
     """
 
     def __init__(self, mesh: Mesh):
-        """Take what is needed from a mesh; no reference to the mesh is kept. Collective.
+        """Read the geometry of a mesh; no reference to the mesh is kept. Collective.
 
         Raises:
-            ValueError: On all ranks, for meshes other than straight triangles, tetrahedra,
-                quadrilaterals and hexahedra that fill their space, and for cells without volume or
-                with a Jacobian that changes its sign.
+            ValueError: On all ranks, for meshes other than straight triangles and quadrilaterals in
+                2D or tetrahedra and hexahedra in 3D, for cells without volume, and for cells whose
+                Jacobian determinant changes sign.
         """
         cell_type, geometry = mesh.topology.cell_type, mesh.geometry
         nodes = _compat.geometry_dofmap(mesh)
@@ -104,7 +104,7 @@ class CellGeometry:
             raise ValueError(
                 f"a mesh of unsupported cells: {cell_type.name} with {nodes.shape[1]} nodes in "
                 f"{geometry.dim} dimensions, {geometry.x.dtype}; material points need straight "
-                "triangles or quadrilaterals in 2, tetrahedra or hexahedra in 3 dimensions, in "
+                "triangles or quadrilaterals in 2 dimensions, tetrahedra or hexahedra in 3, in "
                 f"float64{_hint(self.dim, geometry.dim)}"
             )
         self._checksum = _checksum(geometry.x)
@@ -114,12 +114,12 @@ class CellGeometry:
         self._ghosts = np.array(cells.ghosts, dtype=np.int64)
         try:
             self.key = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
-        except RuntimeError:  # meshes made from other meshes do not have it
+        except RuntimeError:  # meshes made from other meshes have no input indices
             self.key = self.global_index(np.arange(self.num_cells, dtype=np.int32))
 
         self.boxes, off = find_boxes(mesh.comm, geometry.x, nodes, self.dim)
         self.stored: npt.NDArray[np.float64] | None = None
-        # nodes that are off their places by more than round-off count where they are
+        # use the exact shape if nodes are off their lattice places by more than round-off
         if self.boxes is None or off > 0.5 * float(self._box_tolerance()):
             self.stored = np.empty((len(nodes), self._vertices, self.dim))
             for block in self.blocks():
@@ -127,12 +127,12 @@ class CellGeometry:
             self._check_cells(mesh.comm)
 
     def _check_cells(self, comm: MPI.Intracomm) -> None:
-        """Raise unless the maps of all cells are one to one. Collective."""
+        """Raise an error unless the maps of all cells are one-to-one. Collective."""
         at = np.full((1, self.dim), 1.0 / (self.dim + 1)) if self.is_simplex else grid(self.dim)
         gradients = monomial_gradients(at, self._vertices)
         flat, bent = np.zeros((2, self.num_owned), dtype=bool)
         for block in self.blocks(self.num_owned):
-            # by cell, component of x, point, direction of xi
+            # indices: cell, component of x, point, direction of xi
             jacobian = np.tensordot(self.coefficients(block), gradients, (1, 1))
             det = _determinant(np.asarray(jacobian.transpose(1, 3, 0, 2), dtype=np.float64))
             flat[block] = (det == 0.0).all(axis=1)
@@ -163,30 +163,30 @@ class CellGeometry:
         return self._vertices == self.dim + 1
 
     def blocks(self, count: int | None = None) -> Iterator[npt.NDArray[np.int32]]:
-        """The first `count` cells (default: all), some at a time, to save memory."""
+        """Yield the first `count` cells (default: all) in blocks, to save memory."""
         count = self.num_cells if count is None else count
         for start in range(0, count, _BLOCK):
             yield np.arange(start, min(start + _BLOCK, count), dtype=np.int32)
 
     def global_index(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-        """Global indices of `cells` (n,), owned or ghosts."""
+        """Return global indices of `cells` (n,), owned or ghosts."""
         result = self.first_global + cells.astype(np.int64)
         ghosts = cells >= self.num_owned
         result[ghosts] = self._ghosts[cells[ghosts] - self.num_owned]
         return result
 
     def has_moved(self, mesh: Mesh) -> bool:
-        """Whether this rank's nodes of the mesh have other coordinates than when this was made."""
+        """Return whether nodes of this rank have moved since this geometry was made."""
         return _checksum(mesh.geometry.x) != self._checksum
 
     def coefficients(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """What the maps of `cells` (n,) are in `monomials`, in m, shape (n, k, d)."""
+        """Return coefficients of the maps of `cells` (n,) in `monomials`, in m, shape (n, k, d)."""
         if self.stored is not None:
             return self.stored[cells]
         return _expand(self.corners(cells))
 
     def corners(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """Vertices of `cells` (n,) in m, shape (n, vertices, d)."""
+        """Return the vertices of `cells` (n,) in m, shape (n, vertices, d)."""
         if self.stored is None:
             return self._lattice.corners(cells)
         at = monomials(basix.geometry(self.cell), self._vertices)
@@ -195,7 +195,7 @@ class CellGeometry:
     def push_forward(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """Positions in m of points with reference coordinates `xi` (n, d) in `cells` (n,)."""
+        """Return positions in m of reference coordinates `xi` (n, d) in `cells` (n,)."""
         if self.stored is None:
             return self._lattice.push_forward(cells, xi)
         return np.einsum("pk,pkd->pd", monomials(xi, self._vertices), self.stored[cells])
@@ -203,14 +203,14 @@ class CellGeometry:
     def jacobian(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """dx/dxi, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        """Return dx/dxi, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
         if self.stored is None:
             return self._lattice.jacobian(cells)
         gradients = monomial_gradients(xi, self._vertices)
         return np.einsum("pkj,pki->pij", gradients, self.stored[cells])
 
     def centre_jacobian(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """dx/dxi at the centres of `cells` (n,), shape (n, d, d); constant in simplices."""
+        """Return dx/dxi at the centres of `cells` (n,), shape (n, d, d); constant in simplices."""
         centre = 1.0 / (self.dim + 1) if self.is_simplex else 0.5
         return self.jacobian(cells, np.full((len(cells), self.dim), centre))
 
@@ -225,7 +225,7 @@ class CellGeometry:
     def inverse_jacobian(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """dxi/dx, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        """Return dxi/dx, shape (n, d, d), at reference coordinates `xi` (n, d) in `cells` (n,)."""
         if self.stored is None:
             return self._lattice.inverse_jacobian(cells)
         if self.is_simplex:
@@ -234,10 +234,10 @@ class CellGeometry:
 
     @cached_property
     def tolerance(self) -> npt.NDArray[np.float64]:
-        """What reference coordinates in each cell may be off by, shape (cells,), read-only.
+        """Tolerance of reference coordinates in each cell, shape (cells,), read-only.
 
-        Coordinates carry round-off relative to their own size, not to that of the cell. On a
-        lattice it is one number, so that all ranks find the same cells.
+        Round-off of coordinates is relative to the coordinates, not to the size of the cell. On a
+        lattice the tolerance is one number, so that all ranks find the same cells.
         """
         if self.stored is None:
             return np.broadcast_to(self._box_tolerance(), self.num_cells)
@@ -265,7 +265,7 @@ class CellGeometry:
     def determinant(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float64]:
-        """|det dx/dxi| at reference coordinates `xi` (n, d) in `cells` (n,)."""
+        """Return abs(det dx/dxi) at reference coordinates `xi` (n, d) in `cells` (n,)."""
         if self.stored is None:
             return np.full(len(cells), self._lattice.spacing.prod())
         return np.abs(np.linalg.det(self.jacobian(cells, xi)))
@@ -278,7 +278,7 @@ class CellGeometry:
         return np.concatenate([np.empty(0), *map(self.volume, self.blocks(self.num_owned))])
 
     def volume(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
-        """Volumes of `cells` in m^d, exact up to round-off."""
+        """Return volumes of `cells` in m^d, exact up to round-off."""
         if self.stored is None:
             return np.full(len(cells), self._lattice.spacing.prod())
         # det dx/dxi is at most quadratic in each coordinate (hexahedra).
@@ -288,17 +288,17 @@ class CellGeometry:
 
 
 def _hint(dim: int, gdim: int) -> str:
-    """What to do about flat cells in a space of more dimensions."""
+    """Return advice on flat cells in a space of more dimensions."""
     if dim != 2 or gdim != 3:
         return ""
     return (
-        ". A plane mesh is to have two coordinates a node: give gdim=2 to the function of dolfinx "
-        "that reads it, `read_from_msh` or `model_to_mesh` for Gmsh"
+        ". A plane mesh must have two coordinates per node: pass gdim=2 to the function of dolfinx "
+        "that reads it, such as `read_from_msh` or `model_to_mesh` for Gmsh"
     )
 
 
 def _determinant(A: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Determinants of matrices A (d, d, ...), shape (...)."""
+    """Return determinants of matrices A (d, d, ...), shape (...)."""
     if len(A) == 2:
         return A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
     return (
@@ -309,21 +309,21 @@ def _determinant(A: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _tolerance(scale: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Tolerance of reference coordinates from the size of coordinates per size of the cell."""
+    """Return the tolerance of reference coordinates; `scale` is coordinate size per cell size."""
     return np.asarray(_TOLERANCE + 16 * np.finfo(float).eps * np.asarray(scale))
 
 
 def _checksum(x: npt.NDArray[np.float64]) -> tuple[int, int]:
-    """128 bits that change if any bit of the coordinates x does. Not collective."""
+    """Return 128 bits that change if any bit of the coordinates x changes. Not collective."""
     return _mixed_sums(np.ascontiguousarray(x).reshape(-1).view(np.uint64))
 
 
 @njit
 def _mixed_sums(words):  # type: ignore[no-untyped-def]
-    """Two sums of the words (n,), scattered differently at each place.
+    """Return two sums of the words (n,), each mixed differently at each place.
 
-    Each scattering is one to one (the finalizer of splitmix64), so that a change of one word cannot
-    go unnoticed; changes of several words do with a probability of 2^-128.
+    Each mixing is one-to-one (the finalizer of splitmix64), so a change of one word never goes
+    unnoticed. Changes of several words go unnoticed with a probability of 2^-128.
     """
     first = second = np.uint64(0)
     for i in range(len(words)):
@@ -338,7 +338,7 @@ def _mixed_sums(words):  # type: ignore[no-untyped-def]
 
 
 def _expand(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Coefficients of the cell map in `monomials` from the vertices (cells, vertices, d)."""
+    """Return coefficients of the cell map in `monomials` from vertices (cells, vertices, d)."""
     a = np.moveaxis(corners, 1, 0)
     if len(a) == corners.shape[2] + 1:
         columns = [a[0], *(a[1:] - a[0])]
@@ -356,7 +356,7 @@ _cache: "weakref.WeakKeyDictionary[Mesh, CellGeometry]" = weakref.WeakKeyDiction
 
 
 def cell_geometry(mesh: Mesh) -> CellGeometry:
-    """The geometry of a mesh, computed once unless the mesh was moved since. Collective."""
+    """Return the geometry of a mesh, computed again only if the mesh has moved. Collective."""
     stale = mesh not in _cache or _cache[mesh].has_moved(mesh)
     if mesh.comm.allreduce(stale, MPI.LOR):
         _cache[mesh] = CellGeometry(mesh)

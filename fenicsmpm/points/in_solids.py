@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Material points in solids and on their boundaries.
 
-All functions are collective. A `Solid` is on all ranks, each of which looks for a part of the
-points; ids do not depend on the number of ranks.
+All functions are collective. Each rank has the whole `Solid` and searches a part of the lattice.
+Ids do not depend on the number of ranks.
 """
 
 import itertools
@@ -25,28 +25,32 @@ logger = logging.getLogger(__name__)
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# Lattice points that are looked at at a time.
+# Number of lattice points that are tested at a time.
 _MANY = 1 << 16
-# A last correction of volumes by more than this part is told.
+# A final correction of volumes by more than this fraction is logged as a warning.
 _COARSE = 0.05
 
 
 def in_solid(mesh: Mesh, solid: Solid, spacing: float | Array, tag: int = 0) -> MaterialPoints:
-    """Points of a regular lattice in a solid, whose volumes add up to that of the solid.
+    """Seed points of a regular lattice in a solid, such that their volumes add up to its volume.
 
-    The lattice is that of `lattice`. Its boxes that the boundary cuts count with the part that is
-    inside (`fenicsmpm.shapes.fractions`): a point whose box is cut has that part; that of a box
-    with its centre outside is shared by the points next to it. What these parts are wrong by, below
-    1 % of the volume with 8 points across and falling, is made up by one factor for all points near
-    the boundary: the total is the volume of the solid to round-off. Points farther inside have the
-    volume spacing^d.
+    The lattice is that of `lattice`. Each lattice point stands for the box of one spacing around
+    it. A box that the boundary cuts counts with the fraction that lies inside
+    (`fenicsmpm.shapes.fractions`). If its centre is inside, its point gets this volume; if the
+    centre is outside, the points of the neighbouring boxes share it. The fractions have a small
+    error, below 1 % of the volume with 8 points across the solid. One factor for all points near
+    the boundary removes it: the total is the volume of the solid to round-off. Points farther
+    inside have the volume spacing^d.
 
     Args:
         mesh: Background mesh, which contains the solid.
-        spacing: Distance of neighbours in m, one number or one for each direction: a cell's size
-            over the number of points along its side.
-        solid: From `fenicsmpm.shapes` or `read_solid`.
+        solid: Solid from `fenicsmpm.shapes` or `read_solid`.
+        spacing: Distance of neighbours in m, one number or one for each direction: the size of a
+            cell divided by the number of points along its side.
         tag: Tag of the points.
+
+    Returns:
+        The points; their weights are volumes in m^d, in 2D per unit thickness.
 
     Raises:
         ValueError: If the spacing is not positive, the solid has another dimension than the mesh,
@@ -60,7 +64,10 @@ def in_solid(mesh: Mesh, solid: Solid, spacing: float | Array, tag: int = 0) -> 
     lattice = _Lattice(mesh, solid, np.array(np.broadcast_to(step, solid.dim)))
     kept, number = lattice.inside(mesh.comm)
     if mesh.comm.allreduce(len(kept)) == 0:
-        raise ValueError(f"no point of a lattice of spacing {spacing} is in {solid!r}")
+        raise ValueError(
+            f"no point of a lattice with spacing {spacing} lies in {solid!r}: "
+            "make the spacing smaller"
+        )
     weight = np.full(len(kept), np.prod(lattice.step))
     near = lattice.near(kept)
     weight[near] *= lattice.shares(kept[near])
@@ -69,7 +76,7 @@ def in_solid(mesh: Mesh, solid: Solid, spacing: float | Array, tag: int = 0) -> 
         factor = (solid.volume - clear) / cut
         if abs(factor - 1.0) > _COARSE and mesh.comm.rank == 0:
             logger.warning(
-                "points at a spacing of %s are few for %r: volumes near its boundary were "
+                "a spacing of %s is coarse for %r: volumes near the boundary were "
                 "multiplied by %.3f",
                 spacing,
                 solid,
@@ -82,21 +89,22 @@ def in_solid(mesh: Mesh, solid: Solid, spacing: float | Array, tag: int = 0) -> 
 
 
 def on_surface(mesh: Mesh, solid: Solid, spacing: float, tag: int = 0) -> MaterialPoints:
-    """Points on the boundary of a solid, with areas (in 2D lengths) and outer unit normals.
+    """Seed points on the boundary of a solid, weighted by area (in 2D by length).
 
-    Facets are cut into pieces: segments into equal parts, triangles in halves through their longest
-    side until no side is longer than the spacing. Points are the centroids of the pieces; those of
-    a facet share its area. Their sum of area vectors is zero to round-off. Each facet has a point,
-    so a surface of triangles much smaller than the spacing should be coarsened before.
+    Facets are cut into pieces: segments into equal parts, triangles into halves through their
+    longest side until no side is longer than the spacing. Points are the centroids of the pieces,
+    and those of a facet share its area. Their area vectors add up to zero to round-off. Each facet
+    has at least one point, so a surface of triangles much smaller than the spacing should be
+    coarsened first.
 
     Args:
         mesh: Background mesh.
-        solid: From `fenicsmpm.shapes` or `read_solid`.
+        solid: Solid from `fenicsmpm.shapes` or `read_solid`.
         spacing: Largest length of a side of a piece in m.
         tag: Tag of the points.
 
     Returns:
-        Points with the field "normal", shape (d,).
+        Points with the outer unit normal as the field "normal", shape (d,).
 
     Raises:
         ValueError: If the spacing is not positive, or the solid has another dimension than the
@@ -113,7 +121,7 @@ def on_surface(mesh: Mesh, solid: Solid, spacing: float, tag: int = 0) -> Materi
     count = np.bincount(facet, minlength=last - first)
     weight = (solid.areas[first:last] / count)[facet]
     normal = solid.normals[first:last][facet]
-    # numbered in the order of facets, as ranks have them one after the other
+    # Number the points in the order of the facets, of which each rank has a consecutive part.
     return MaterialPoints(mesh, pieces.mean(axis=1), weight, tag=tag, fields={"normal": normal})
 
 
@@ -125,12 +133,13 @@ def _check_dimension(mesh: Mesh, solid: Solid) -> None:
         )
     if solid.dim != mesh.geometry.dim:
         raise ValueError(
-            f"a solid of {solid.dim} dimensions in a mesh of {mesh.geometry.dim}: {solid!r}"
+            f"a solid of {solid.dim} dimensions does not fit a mesh of {mesh.geometry.dim}: "
+            f"{solid!r}"
         )
 
 
 def _cut_segments(facets: Array, longest: float) -> tuple[Array, Indices]:
-    """Equal pieces (m, 2, 2) of segments, and which segment each one is of."""
+    """Return equal pieces (m, 2, 2) of segments, and the segment of each piece."""
     start, way = facets[:, 0], facets[:, 1] - facets[:, 0]
     count = np.maximum(np.ceil(np.linalg.norm(way, axis=1) / longest).astype(np.int64), 1)
     facet = np.repeat(np.arange(len(facets)), count)
@@ -140,7 +149,7 @@ def _cut_segments(facets: Array, longest: float) -> tuple[Array, Indices]:
 
 
 def _cut_triangles(facets: Array, longest: float) -> tuple[Array, Indices]:
-    """Equal pieces (m, 3, 3) of triangles, and which triangle each one is of."""
+    """Return equal pieces (m, 3, 3) of triangles, and the triangle of each piece."""
     pieces, facet = facets, np.arange(len(facets))
     while True:
         sides = np.linalg.norm(np.roll(pieces, -1, axis=1) - pieces, axis=2)
@@ -148,7 +157,7 @@ def _cut_triangles(facets: Array, longest: float) -> tuple[Array, Indices]:
         if not long.any():
             order = np.argsort(facet, kind="stable")
             return pieces[order], facet[order]
-        # the longest side is from vertex 0 to 1
+        # the longest side runs from vertex 0 to vertex 1
         turn = (sides[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
         a, b, c = np.swapaxes(np.take_along_axis(pieces[long], turn[:, :, None], axis=1), 0, 1)
         middle = 0.5 * (a + b)
@@ -158,21 +167,21 @@ def _cut_triangles(facets: Array, longest: float) -> tuple[Array, Indices]:
 
 
 class _Lattice:
-    """Lattice points around a solid, by their indices, and the parts of their boxes inside."""
+    """Lattice points around a solid by their indices, and the fractions of their boxes inside."""
 
     def __init__(self, mesh: Mesh, solid: Solid, step: Array):
-        """Collective."""
+        """Set up the lattice. Collective."""
         self.solid, self.step = solid, step
         self._origin = mesh_bounds(mesh, cell_geometry(mesh))[0]
         lower, upper = ((b - self._origin) / step - 0.5 for b in solid.bounds())
-        # two more boxes on each side, whose numbers are needed
+        # two more boxes on each side, as neighbours need numbers, too
         self._first = np.floor(lower).astype(np.int64) - 2
         self._counts = tuple(np.ceil(upper).astype(np.int64) + 3 - self._first)
         around = itertools.product((-1, 0, 1), repeat=solid.dim)
         self._around = np.array(list(around), dtype=np.int64)
 
     def position(self, index: Indices) -> Array:
-        """Positions (n, d) of the points with indices (n, d)."""
+        """Return positions (n, d) of the points with indices (n, d)."""
         return self._origin + (index + 0.5) * self.step
 
     def _index(self, number: Indices) -> Indices:
@@ -187,7 +196,7 @@ class _Lattice:
         return inside
 
     def inside(self, comm: MPI.Intracomm) -> tuple[Indices, Indices]:
-        """This rank's part of the points inside, indices (n, d) and numbers (n,)."""
+        """Return indices (n, d) and numbers (n,) of this rank's part of the points inside."""
         total = int(np.prod(self._counts))
         begin, end = (total * r // comm.size for r in (comm.rank, comm.rank + 1))
         kept: list[Indices] = [np.zeros(0, dtype=np.int64)]
@@ -198,13 +207,13 @@ class _Lattice:
         return self._index(number), number
 
     def near(self, index: Indices) -> npt.NDArray[np.bool_]:
-        """Which points may have a box next to them, or be in one, that is not all inside."""
+        """Return which points are in, or next to, a box that may not lie inside completely."""
         radius = float(np.linalg.norm(self.step)) * (1.0 + 1e-9)
         near: npt.NDArray[np.bool_] = all_near(self.solid.tree, self.position(index), radius)
         return near
 
     def shares(self, index: Indices) -> Array:
-        """Volume of points inside, as a part of a box: of their own one and of those next to it."""
+        """Return the volumes of points inside in boxes: of their own box and shared neighbours."""
         if not len(index):
             return np.zeros(0)
         around = self._number(index[:, None] + self._around)

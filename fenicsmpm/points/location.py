@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Point to cell and reference coordinates, in the part of a mesh that one rank sees.
+"""Search for the cells and reference coordinates of points, in one rank's part of the mesh.
 
-On lattices (`fenicsmpm.points.boxes`) the cell follows from the position. On other meshes a point
-is first looked for from the cell it was in: on simplices by a walk over neighbours towards the most
-negative barycentric coordinate, on other cells in that cell only. What is not found so is looked
-for in bins (`fenicsmpm.points.bins`).
+On lattices (`fenicsmpm.points.boxes`) the cell follows from the position. On other meshes the
+search starts in the cell in which the point was. On simplices it walks over neighbours towards the
+most negative barycentric coordinate; on other cells it tries that cell only. Points not found this
+way are searched in bins (`fenicsmpm.points.bins`).
 
-A point on a facet, edge or vertex belongs to the containing cell of lowest number (index in the
-mesh as it was input). That does not depend on where the walk starts, but that cell may be on a rank
-that this one does not see: `Locator.is_sure`.
+A point on a facet, edge or vertex belongs to the touching cell of lowest number (index in the input
+mesh). This does not depend on where the search starts. The cell may be on a rank that this one does
+not see, though: see `Locator.is_sure`.
 """
 
 import weakref
@@ -25,12 +25,12 @@ from fenicsmpm.points.boxes import locate_in_boxes, pull_back_to_boxes
 from fenicsmpm.points.geometry import CellGeometry, cell_geometry
 from fenicsmpm.points.pullback import reference_point
 
-# A walk of more cells costs more than the bins.
+# A longer walk costs more than a search in the bins.
 _MAX_STEPS = 20
 
 
 class _Cells(NamedTuple):
-    """What the search needs to know of the cells."""
+    """Data of the cells for the search."""
 
     coefficients: npt.NDArray[np.float64]
     inverse: npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class _Cells(NamedTuple):
 
 
 class Locator:
-    """Finds points in the cells (owned and ghosts) of one rank.
+    """Search for points in the cells (owned and ghosts) of one rank.
 
     Attributes:
         geometry: Shapes of the cells.
@@ -53,7 +53,7 @@ class Locator:
         """Build the tables; no reference to the mesh is kept. Collective.
 
         Raises:
-            ValueError: On all ranks, see `CellGeometry`.
+            ValueError: On all ranks, for unsupported meshes, see `CellGeometry`.
         """
         self.geometry = geometry = cell_geometry(mesh)
         self.is_lattice = geometry.boxes is not None
@@ -73,11 +73,12 @@ class Locator:
 
         Args:
             x: Positions in m, finite, shape (n, d).
-            cells: Local cells (owned or ghost) to start from, -1 for nothing known, shape (n,).
-            owned: Whether only cells count that this rank owns.
+            cells: Local cells (owned or ghost) in which the search starts, -1 if unknown,
+                shape (n,).
+            owned: Whether to search only cells that this rank owns.
 
         Returns:
-            Local cells, shape (n,), int32, -1 where no cell of this rank contains the point; and
+            Local cells, shape (n,), int32, -1 if no cell of this rank contains the point; and
             reference coordinates, shape (n, d), which reproduce x up to round-off.
         """
         x = np.ascontiguousarray(x)
@@ -97,10 +98,10 @@ class Locator:
     def is_sure(
         self, cells: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.bool_]:
-        """Whether points located at xi (n, d) in cells (n,) are in no cell that only others see.
+        """Return whether no other rank can have a better cell for points at xi (n, d) in `cells`.
 
-        False for cell -1. Points inside of a cell are sure, as are those on facets if all cells
-        that touch theirs are on this rank.
+        The answer is false for cell -1. It is true for points inside a cell, and for points on
+        facets if all cells that touch theirs are on this rank.
         """
         sure = cells >= 0
         if self._surrounded is None:
@@ -116,7 +117,7 @@ class Locator:
     def pull_back(
         self, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
     ) -> npt.NDArray[np.float64]:
-        """Reference coordinates (n, d) of points x (n, d) in given cells (n,) that contain them."""
+        """Return reference coordinates (n, d) of points x (n, d) in given cells (n,)."""
         xi = np.zeros_like(x)
         if self._search is not None:
             _pull_back(self._search[0], x, cells, xi)
@@ -130,7 +131,7 @@ class Locator:
         xi: npt.NDArray[np.float64],
         cells: npt.NDArray[np.int32],
     ) -> npt.NDArray[np.bool_]:
-        """Whether reference coordinates xi (n, d) in cells (n,) give the points x (n, d)."""
+        """Return whether reference coordinates xi (n, d) in cells (n,) give the points x (n, d)."""
         if not len(x):
             return np.zeros(0, dtype=bool)
         slack = 1e3 * self.geometry.tolerance[cells]
@@ -145,7 +146,7 @@ _cache: "weakref.WeakKeyDictionary[Mesh, Locator]" = weakref.WeakKeyDictionary()
 
 
 def locator(mesh: Mesh) -> Locator:
-    """The locator of a mesh, built once unless the mesh was moved since. Collective."""
+    """Return the locator of a mesh, built again only if the mesh has moved. Collective."""
     if mesh not in _cache or _cache[mesh].geometry is not cell_geometry(mesh):
         _cache[mesh] = Locator(mesh)
     return _cache[mesh]
@@ -156,7 +157,7 @@ def _tables(
     coefficients: npt.NDArray[np.float64],
     neighbours: npt.NDArray[np.int32],
 ) -> tuple[_Cells, Bins]:
-    """What the search needs on meshes that are no lattices."""
+    """Return the tables of the search on meshes that are no lattices."""
     lower, upper = np.empty((2, geometry.num_cells, geometry.dim))
     for block in geometry.blocks():
         corners = geometry.corners(block)
@@ -170,9 +171,9 @@ def _tables(
 
 
 def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
-    """Cell behind the facet opposite to each vertex, -1 for none; shape (cells, d + 1).
+    """Return the cell behind the facet opposite to each vertex, -1 for none; shape (cells, d + 1).
 
-    Empty for cells other than simplices.
+    The array is empty for cells other than simplices.
     """
     topology = mesh.topology
     d = topology.dim
@@ -193,9 +194,9 @@ def _neighbours(mesh: Mesh) -> npt.NDArray[np.int32]:
 
 
 def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_] | None:
-    """Whether all cells that touch a cell are on this rank, shape (cells,). Collective.
+    """Return whether all cells that touch a cell are on this rank, shape (cells,). Collective.
 
-    None for all cells, where there is one rank.
+    On a single rank it returns None: the answer is yes for all cells.
     """
     if mesh.comm.size == 1:
         return None
@@ -215,7 +216,7 @@ def _surrounded(mesh: Mesh) -> npt.NDArray[np.bool_] | None:
 
 @njit
 def _count(corners, result):  # type: ignore[no-untyped-def]
-    """Add the number of cells at each vertex."""
+    """Add the number of cells at each vertex to `result`."""
     for c in range(len(corners)):
         for vertex in corners[c]:
             result[vertex] += 1.0
@@ -223,7 +224,7 @@ def _count(corners, result):  # type: ignore[no-untyped-def]
 
 @njit
 def _all_at(corners, mark):  # type: ignore[no-untyped-def]
-    """Cells all of whose vertices have a mark."""
+    """Return the cells all of whose vertices are marked."""
     result = np.ones(len(corners), dtype=np.bool_)
     for c in range(len(corners)):
         for vertex in corners[c]:
@@ -239,7 +240,7 @@ def _pull_back(cells: _Cells, x, cell, xi):  # type: ignore[no-untyped-def]
 
 @njit
 def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-untyped-def]
-    """Overwrite the hints in `cell` by the cells found among the first `count`, and `xi`."""
+    """Overwrite hints in `cell` with cells among the first `count`, and set `xi`."""
     n, d = x.shape
     simplex = cells.coefficients.shape[1] == d + 1
     scratch = np.empty(d)
@@ -256,7 +257,7 @@ def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-u
                     xi[p, i] = scratch[i]
                 break
             if margin >= -cells.tolerance[c] or not simplex:
-                break  # on a facet: other cells may contain it too
+                break  # on a facet, which other cells may share
             worst = 0
             for i in range(d):
                 if scratch[i] == margin:
@@ -268,7 +269,7 @@ def _locate(cells: _Cells, bins: Bins, count, x, cell, xi):  # type: ignore[no-u
 
 @njit
 def _search(cells: _Cells, bins: Bins, count, x, p, scratch, xi):  # type: ignore[no-untyped-def]
-    """The cell that contains x[p] inside, else the one of lowest key that touches it, else -1."""
+    """Return the cell with x[p] inside, else the touching cell of lowest key, else -1."""
     best = -1
     b = _bin_of(bins, x, p)
     if b < 0:
@@ -292,7 +293,7 @@ def _search(cells: _Cells, bins: Bins, count, x, p, scratch, xi):  # type: ignor
 
 @njit
 def _bin_of(bins: Bins, x, p):  # type: ignore[no-untyped-def]
-    """The bin of x[p], -1 if the point is outside of all bins."""
+    """Return the bin of x[p], -1 if the point is outside of all bins."""
     b = 0
     for i in range(x.shape[1]):
         t = (x[p, i] - bins.origin[i]) * bins.inverse_size[i]

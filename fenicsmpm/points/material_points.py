@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Material points: named arrays with one row a point, distributed like the cells of a mesh."""
+"""Material points: named arrays with one row per point, distributed like the cells of the mesh."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
@@ -35,18 +35,19 @@ Selection: TypeAlias = npt.ArrayLike | OfPosition
 
 
 class MaterialPoints(PointArrays, Described):
-    """Points that carry the material (or a load) through a background mesh.
+    """Material points (or boundary points with loads) in a background mesh.
 
-    Every point is on the rank that owns the cell it lies in. Arrays have the point index first.
+    Each point is stored on the rank that owns its cell. The first index of each array is the
+    point.
 
     Attributes:
         mesh: The background mesh, which does not move.
-        geometry: Shapes of its cells.
-        version: Grows whenever positions, cells, order or number of the points change.
+        geometry: Shapes of the cells of the mesh.
+        version: Counter that grows whenever positions, cells, order or number of the points change.
         size_global: Number of points on all ranks.
         next_id: Id of the next point that is added.
-        grid_functions: Which ones the points see, as `fenicsmpm.basis.use` has chosen; None for
-            the finite elements of the mesh.
+        grid_functions: Grid functions chosen for these points by `fenicsmpm.basis.use`; None for
+            the finite element functions of the mesh.
     """
 
     def __init__(
@@ -63,24 +64,23 @@ class MaterialPoints(PointArrays, Described):
     ):
         """Create points at given positions. Collective.
 
-        Each rank passes any points it likes (also none): they are sent to the ranks that own their
-        cells. Their ids are 0, 1, .. over all ranks.
+        Each rank may pass any points, or none. They are sent to the ranks that own their cells.
+        Their ids are 0, 1, ... over all ranks.
 
         Args:
             mesh: Background mesh of straight triangles, quadrilaterals, tetrahedra or hexahedra.
             x: Positions in m, shape (n, d).
-            weight: Volume (per unit thickness in 2D) of body points in m^d, area or length of
+            weight: Volume of body points in m^d (in 2D per unit thickness), area or length of
                 boundary points in m^(d-1); shape (n,) or one number.
-            cells: Local cell near or around each point from which its location starts, -1 for
-                unknown, shape (n,).
-            xi: Reference coordinates in `cells`, shape (n, d), if they are known: then `cells` are
-                the cells of the points, and nothing is located.
-            tag: Integers to tell groups of points apart, shape (n,) or one number.
-            number: Distinct integers from 0 in whose order the points get their ids, whatever ranks
-                they are passed on, shape (n,); None for the order in which they are passed, rank
-                after rank.
-            fields: Initial fields, arrays of shape (n, *value_shape); same names and value shapes
-                on all ranks.
+            cells: Local cell in or near which the search for each point starts, -1 if unknown;
+                shape (n,).
+            xi: Reference coordinates of the points, shape (n, d), if they are known. Then `cells`
+                must be the cells of the points, and no search takes place.
+            tag: Integers that tell groups of points apart, shape (n,) or one number.
+            number: Distinct integers from 0, shape (n,). Ids follow their order, on whatever rank
+                the points are passed. None for the order in which points are passed, rank by rank.
+            fields: Initial fields, arrays of shape (n, *value_shape). Names and value shapes must
+                be the same on all ranks.
 
         Raises:
             ValueError: On all ranks, for meshes of unsupported cells, wrong shapes, weights that
@@ -124,13 +124,14 @@ class MaterialPoints(PointArrays, Described):
         return self.mesh.comm
 
     def field(self, name: str) -> PointField:
-        """A field as a coefficient for UFL forms over these points.
+        """Return a field as a coefficient for UFL forms over these points.
 
         Args:
             name: Name of a field of float64 values; also "x" or "weight".
 
         Returns:
-            The same object at each call; it reads the field's array when a form is assembled.
+            The coefficient, the same object at each call. It reads the array of the field whenever
+            a form is assembled.
 
         Raises:
             KeyError: If there is no such field.
@@ -143,17 +144,18 @@ class MaterialPoints(PointArrays, Described):
 
     @property
     def dx(self) -> ufl.Measure:
-        """The measure of integrals over the points; `dx(i)` is over those with tag i."""
+        """Measure for integrals over the points; `dx(i)` is restricted to points with tag i."""
         return ufl.Measure("dx", domain=self.mesh.ufl_domain(), subdomain_data=self)
 
     def volume(self) -> float:
-        """Sum of the weights over all ranks, in m^d or m^(d-1). Collective."""
+        """Return the sum of the weights over all ranks, in m^d or m^(d-1). Collective."""
         return self._comm.allreduce(float(self._data["weight"].sum()))
 
     def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Lowest and highest coordinates in m over all ranks, each of shape (d,). Collective.
+        """Return the lowest and highest coordinates over all ranks. Collective.
 
-        Without any points they are plus and minus infinity.
+        Returns:
+            Two arrays of shape (d,) in m; plus and minus infinity if there are no points.
         """
         x = self._data["x"]
         lower, upper = np.empty((2, x.shape[1]))
@@ -164,20 +166,20 @@ class MaterialPoints(PointArrays, Described):
     # --- pictures -------------------------------------------------------------------------------
 
     def plot(self, field: str | None = None, label: str | None = None, **options: Any) -> Picture:
-        """Draw the points for a notebook, without a file. Collective.
+        """Draw the points in a notebook, without writing a file. Collective.
 
         Args:
-            field: Name of the field that gives the colours; None for points in one colour, in the
-                plane with the cells of the mesh.
+            field: Name of the field that gives the colours. None draws all points in one colour,
+                and in 2D the cells of the mesh as well.
             label: Text beside the colour bar, with the unit; None for the name of the field.
             **options: Keyword arguments of `fenicsmpm.io.picture`, such as `cut` and `limits`.
 
         Returns:
-            The picture, which a notebook shows.
+            The picture, which a notebook displays.
 
         Raises:
-            RuntimeError: On all ranks, if nothing can render; says what to install.
-            ValueError: On all ranks, for fields or components that there are not.
+            RuntimeError: On all ranks, if rendering is impossible; says what to install.
+            ValueError: On all ranks, for fields or components that do not exist.
         """
         return drawing.picture(None, self, field, label, comm=self._comm, **options)
 
@@ -185,14 +187,14 @@ class MaterialPoints(PointArrays, Described):
 
     @property
     def order(self) -> npt.NDArray[np.int64]:
-        """Permutation (n,), int64, that sorts the points by cell; stable."""
+        """Permutation that sorts the points by cell (stable), shape (n,), int64."""
         return self._sorted()[0]
 
     @property
     def cell_offsets(self) -> npt.NDArray[np.int64]:
-        """Points of local cell c are ``order[cell_offsets[c]:cell_offsets[c + 1]]``.
+        """Offsets of the cells in `order`, shape (owned + ghost cells + 1,), int64.
 
-        Shape (owned + ghost cells + 1,), int64.
+        The points of local cell c are ``order[cell_offsets[c]:cell_offsets[c + 1]]``.
         """
         return self._sorted()[1]
 
@@ -202,14 +204,17 @@ class MaterialPoints(PointArrays, Described):
         return self._order
 
     def sort(self, by: npt.NDArray[np.integer] | None = None) -> None:
-        """Store the points in an order in which loops run through memory.
+        """Reorder the points in memory, by cell unless told otherwise.
+
+        Loops over points are faster when neighbours in the mesh are neighbours in memory.
 
         Args:
-            by: Numbers from 0 whose order it is, shape (n,); the points' cells if not given.
+            by: Non-negative integers by which the points are sorted, shape (n,); the cells of the
+                points if not given.
         """
         self._data.settle()
         order = order_by_number(self._data["cell"] if by is None else by)
-        # one after the other, and those first that need the largest room in what is free
+        # One array at a time, the largest first: it needs the most free memory.
         for name in sorted(self._data, key=lambda name: -self._data[name].nbytes):
             self._data[name] = self._data[name][order]
         self._replace(self._data)
@@ -222,24 +227,28 @@ class MaterialPoints(PointArrays, Described):
         provide: Provider,
         others: Mapping[str, npt.NDArray] | None = None,
     ) -> None:
-        """Drop arrays that somebody else has, until somebody looks at them. Not collective.
+        """Drop arrays that a loop keeps itself, until somebody reads them. Not collective.
 
-        See `fenicsmpm.points.pending_fields` for what a loop has to do.
+        `fenicsmpm.points.pending_fields` describes what such a loop has to do.
 
         Args:
-            names: Fields, "weight" or "x", with which "cell" and "xi" go.
-            provide: Returns the array of a name, and others of `names` if it likes.
-            others: New arrays of everything that is not pending, where points have changed ranks
-                or places in the arrays; `size_global` stays.
+            names: Fields, "weight" or "x". "cell" and "xi" are dropped with "x".
+            provide: Function that returns the array of a name, and possibly of others in `names`.
+            others: New arrays for everything that is not pending, if points have changed ranks
+                or places in the arrays; `size_global` must not change.
 
         Raises:
             KeyError: For names without arrays.
-            ValueError: For ids, tags, cells and reference coordinates, and for wrong others.
+            ValueError: For ids, tags, cells and reference coordinates, and if `others` does not
+                fit.
         """
         providers = dict.fromkeys(names, provide)
         forbidden = {"id", "tag", "cell", "xi"}.intersection(providers)
         if forbidden:
-            raise ValueError(f"{', '.join(sorted(forbidden))} cannot be deferred")
+            raise ValueError(
+                f"{', '.join(sorted(forbidden))} cannot be deferred, only fields, "
+                "'weight' and 'x' can"
+            )
         if "x" in providers:
             providers |= dict.fromkeys(("cell", "xi"), self._find_own_cells)
         self._data.defer(providers, others)
@@ -248,7 +257,7 @@ class MaterialPoints(PointArrays, Described):
             self.version += 1
 
     def _find_own_cells(self, name: str) -> dict[str, npt.NDArray]:
-        """Cells and reference coordinates of points that are where they belong."""
+        """Return cells and reference coordinates of points that lie in cells of this rank."""
         x = self._data["x"]
         cell, xi = self._locator.locate(x, owned=True)
         lost = np.flatnonzero(cell < 0)
@@ -265,14 +274,14 @@ class MaterialPoints(PointArrays, Described):
         """Set new positions and find the new cells, starting from the old ones. Collective.
 
         Points that enter a cell of another rank are sent there with their fields. If an error is
-        raised, the points are as before.
+        raised, the points stay as they were.
 
         Args:
             x: New positions in m, shape (n, d).
 
         Raises:
-            ValueError: On all ranks, for wrong shapes and positions that are not finite, or if the
-                background mesh was moved.
+            ValueError: On all ranks, for wrong shapes or positions that are not finite, or if the
+                nodes of the background mesh have moved.
             PointsOutsideError: On all ranks, if some position is in no cell of the mesh.
         """
         error, positions = check_positions(x, self.geometry.dim, len(self))
@@ -289,11 +298,13 @@ class MaterialPoints(PointArrays, Described):
         self._send_home(global_cell)
 
     def add(self, other: "MaterialPoints") -> None:
-        """Add copies of other points. They get new ids, in the order of the old ones. Collective.
+        """Add copies of other points. Collective.
+
+        The copies get new ids, in the order of the old ones.
 
         Args:
-            other: Points on the same mesh with the same fields, but for those that had one initial
-                value for all here, see `add_field`: they get that value.
+            other: Points on the same mesh with the same fields. A field may be missing in `other`
+                if `add_field` gave it one initial value for all points: the copies get this value.
 
         Raises:
             ValueError: If meshes or fields differ.
@@ -316,15 +327,15 @@ class MaterialPoints(PointArrays, Described):
         """Remove points. Collective.
 
         Args:
-            which: Mask (n,) or indices on this rank; or a marker as in dolfinx, from positions
-                (3, n) in m to a mask (n,).
+            which: Mask of shape (n,) or indices on this rank; or a marker as in dolfinx, a function
+                from positions in m of shape (3, n) to a mask of shape (n,).
 
         Returns:
-            How many were removed on all ranks.
+            Number of points removed on all ranks.
 
         Raises:
-            ValueError: On all ranks, if `which` is neither mask nor indices of these points, or a
-                marker of another shape; also what a marker raises.
+            ValueError: On all ranks, if `which` is neither a mask nor indices of these points, or
+                if the marker returns another shape. Errors of the marker are raised as they are.
         """
         keep = ~self._mask(which)
         self._data.settle()
@@ -334,7 +345,7 @@ class MaterialPoints(PointArrays, Described):
         return before - self.size_global
 
     def select(self, which: Selection) -> "MaterialPoints":
-        """A copy of some of the points, with their ids, tags and fields. Collective.
+        """Return a copy of some of the points, with their ids, tags and fields. Collective.
 
         Args:
             which: As for `remove`.
@@ -351,7 +362,7 @@ class MaterialPoints(PointArrays, Described):
         return result
 
     def copy(self) -> "MaterialPoints":
-        """An independent copy on the same mesh. Collective."""
+        """Return an independent copy on the same mesh. Collective."""
         return self.select(np.full(len(self), True))
 
     def _mask(self, which: Selection) -> npt.NDArray[np.bool_]:
@@ -363,11 +374,11 @@ class MaterialPoints(PointArrays, Described):
         return {name: a[which] for name, a in self._data.items()}
 
     def restore(self, snapshot: Mapping[str, npt.NDArray], size_global: int | None = None) -> None:
-        """Go back to what the points were at a snapshot, cells, ranks and fields.
+        """Restore positions, cells, ranks and fields from a snapshot.
 
         Args:
-            snapshot: Of these points; its arrays become theirs.
-            size_global: Number of points on all ranks at the snapshot; None to count them, which is
+            snapshot: What `snapshot` of these points returned; its arrays are used, not copied.
+            size_global: Number of points on all ranks at the snapshot. None counts them, which is
                 collective.
         """
         self._replace(dict(snapshot))
@@ -379,12 +390,12 @@ class MaterialPoints(PointArrays, Described):
         self.version += 1
 
     def _send_home(self, global_cell: npt.NDArray[np.int64]) -> None:
-        """Send the points that lie in cells of other ranks there. Collective."""
+        """Send points to the ranks that own their cells. Collective."""
         self._replace(send_home(self._comm, self._locator, global_cell, self._data))
 
     def _facts(self) -> Facts:
         return facts_of(self)
 
     def __repr__(self) -> str:
-        """The same as is printed."""
+        """Return the same text as printing."""
         return str(self)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""MPI: a point lives on the rank that owns its cell."""
+"""Exchange of points between ranks: each point is stored on the rank that owns its cell."""
 
 from collections.abc import Mapping
 
@@ -12,18 +12,18 @@ from fenicsmpm.points.location import Locator
 
 _TAG = 4703
 
-# Points of a rank that all others look for in their cells at a time
+# Number of points per rank that all other ranks search for in their cells at a time
 _AT_A_TIME = 1 << 15
 
 
 class PointsOutsideError(ValueError):
-    """Points that lie in no cell of the background mesh on any rank.
+    """Error for points that lie in no cell of the background mesh on any rank.
 
     Attributes:
-        count: How many, over all ranks.
-        total: Number of points that were located, over all ranks.
-        first: Position of the first of them in m, over all ranks.
-        indices: Which of this rank's points, int64.
+        count: Number of points outside on all ranks.
+        total: Number of points that were located on all ranks.
+        first: Position in m of the first point outside, on the lowest rank that has one.
+        indices: Indices of the points outside on this rank, int64.
         positions: Their positions in m, shape (len(indices), d).
     """
 
@@ -35,7 +35,7 @@ class PointsOutsideError(ValueError):
         indices: npt.NDArray[np.int64],
         positions: npt.NDArray[np.float64],
     ):
-        """Compose the message; `first` is the position of the first such point of all ranks."""
+        """Compose the message from the attributes."""
         where = ", ".join(f"{v:.6g}" for v in first)
         super().__init__(
             f"points outside the background mesh: {count} of {total}, first at ({where}); "
@@ -48,7 +48,7 @@ class PointsOutsideError(ValueError):
         self.positions = positions
 
     def __reduce__(self) -> tuple[object, ...]:
-        """How to make it anew, on another rank."""
+        """Return what pickle needs to recreate the error on another rank."""
         return type(self), (self.count, self.total, self.first, self.indices, self.positions)
 
 
@@ -62,13 +62,13 @@ def find_cells(
 
     Args:
         comm: Communicator of the mesh.
-        locator: Of this rank's part of the mesh.
+        locator: Locator of this rank's part of the mesh.
         x: This rank's points in m, shape (n, d).
         hint: Local cells to start from, shape (n,), or None.
 
     Returns:
-        Global cells, shape (n,); the local cells, shape (n,), -1 where the cell is not on this
-        rank; and reference coordinates (n, d) where it is.
+        Global cells, shape (n,); local cells, shape (n,), -1 if the cell is not on this rank; and
+        reference coordinates (n, d) in the local cells.
 
     Raises:
         PointsOutsideError: On all ranks, if some point is in no cell of the mesh.
@@ -78,10 +78,10 @@ def find_cells(
     found = cell >= 0
     global_cell[found] = locator.geometry.global_index(cell[found])
     unsure = np.flatnonzero(~locator.is_sure(cell, xi))
-    # Nothing more to do in most time steps: one reduction of one number.
+    # Most time steps end here, after the reduction of one number.
     most = comm.allreduce(len(unsure), MPI.MAX)
     if most:
-        # some at a time, since every rank looks at those of all
+        # a few at a time, since every rank searches for the points of all
         parts = np.array_split(unsure, -(-most // _AT_A_TIME))
         better = np.concatenate([_find_elsewhere(comm, locator, x[part]) for part in parts])
         cell[unsure[better != global_cell[unsure]]] = -1
@@ -94,13 +94,13 @@ def find_cells(
 def _find_elsewhere(
     comm: MPI.Intracomm, locator: Locator, x: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.int64]:
-    """Global cells of points that may be on any rank, -1 for those on none. Collective."""
+    """Return the global cells of points that may be on any rank, -1 for none. Collective."""
     start = comm.exscan(len(x)) or 0
     everything = np.concatenate(comm.allgather(x))
     geometry = locator.geometry
     cell, _ = locator.locate(everything)
     mine = np.flatnonzero((cell >= 0) & (cell < geometry.num_owned))
-    # Several ranks may own a cell that touches the point: the lowest number wins here too.
+    # Several ranks may own a cell that touches the point. The lowest number wins here, too.
     nobody = np.iinfo(np.int64).max
     key = np.full(len(everything), nobody, dtype=np.int64)
     key[mine] = geometry.key[cell[mine]]
@@ -131,7 +131,7 @@ def _raise_outside(
 def _owners(
     comm: MPI.Intracomm, locator: Locator, global_cell: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int32]:
-    """Ranks that own the given global cells, shape (n,). Collective."""
+    """Return the ranks that own the given global cells, shape (n,). Collective."""
     starts = np.array(comm.allgather(locator.geometry.first_global))
     return (np.searchsorted(starts, global_cell, side="right") - 1).astype(np.int32)
 
@@ -142,11 +142,11 @@ def send_home(
     global_cell: npt.NDArray[np.int64],
     data: Mapping[str, npt.NDArray],
 ) -> Mapping[str, npt.NDArray]:
-    """Send points that lie in cells of other ranks there, with all their arrays. Collective.
+    """Send points to the ranks that own their cells, with all their arrays. Collective.
 
     Args:
         comm: Communicator of the mesh.
-        locator: Of this rank's part of the mesh.
+        locator: Locator of this rank's part of the mesh.
         global_cell: Cells of this rank's points, shape (n,).
         data: Arrays of n rows, among them "x", "xi" and the local "cell" (-1 if on another rank).
 
@@ -169,16 +169,16 @@ def send_home(
 def exchange(
     comm: MPI.Intracomm, destination: npt.NDArray[np.int32], arrays: dict[str, npt.NDArray]
 ) -> dict[str, npt.NDArray]:
-    """Send rows of arrays to other ranks, in one buffer for each destination. Collective.
+    """Send rows of arrays to other ranks, in one message per destination. Collective.
 
     Args:
         comm: Communicator.
-        destination: Rank that each row goes to, shape (n,).
+        destination: Rank to which each row goes, shape (n,).
         arrays: Arrays of n rows each; the same names, types and row shapes in the same order on
             all ranks.
 
     Returns:
-        Arrays of the same names of the rows received, ordered by sending rank, then as sent.
+        Arrays of the same names with the rows received, ordered by sending rank, then as sent.
     """
     record = np.dtype([(name, a.dtype, a.shape[1:]) for name, a in arrays.items()])
     order = np.argsort(destination, kind="stable")
@@ -190,7 +190,7 @@ def exchange(
     comm.Alltoall(send, receive)
     received = np.empty(receive.sum(), dtype=record)
 
-    # Few ranks are neighbours: messages only between those that have something to say.
+    # Few ranks are neighbours: only those exchange messages.
     row = MPI.BYTE.Create_contiguous(record.itemsize).Commit()
     requests = []
     ends = np.cumsum(receive)

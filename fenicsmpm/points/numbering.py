@@ -11,23 +11,24 @@ from fenicsmpm.points.migration import exchange
 
 
 def ids_in_order(comm: MPI.Intracomm, number: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Ids 0, 1, .. of points in ascending order of their numbers on all ranks. Collective.
+    """Return ids 0, 1, ... of points in ascending order of their numbers. Collective.
 
     Args:
         comm: Communicator of the points.
-        number: Of each point of this rank, from 0, distinct over all ranks, shape (n,).
+        number: Non-negative number of each point of this rank, distinct over all ranks,
+            shape (n,).
 
     Returns:
         Ids, shape (n,), int64.
 
     Raises:
-        ValueError: On all ranks, for negative numbers and those that two points have.
+        ValueError: On all ranks, for negative numbers and numbers that several points have.
     """
     lowest = comm.allreduce(int(number.min(initial=np.iinfo(np.int64).max)), MPI.MIN)
     highest = comm.allreduce(int(number.max(initial=0)), MPI.MAX)
     if lowest < 0:
-        raise ValueError(f"numbers of points start from 0, but there is {lowest}")
-    # each rank sorts the numbers of one interval, and sends the ids back in the order received
+        raise ValueError(f"numbers of points must not be negative, but the lowest is {lowest}")
+    # Each rank sorts the numbers of one interval and sends ids back in the order received.
     width = max(highest - lowest, 0) // comm.size + 1
     destination = ((number - lowest) // width).astype(np.int32)
     rank = np.full(len(number), comm.rank, dtype=np.int32)
@@ -37,7 +38,7 @@ def ids_in_order(comm: MPI.Intracomm, number: npt.NDArray[np.int64]) -> npt.NDAr
     error = None
     if len(twice):
         error = ValueError(
-            "numbers of points must be distinct, but several have "
+            "numbers of points must be distinct, but several points have the number "
             f"{received['number'][order[twice[0]]]}"
         )
     raise_together(comm, error)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Functions of positions that users pass: markers, predicates, velocities, densities, stresses.
+"""Functions of position that users pass: markers, predicates, velocities, densities, stresses.
 
-They are those of dolfinx, in the plane too: a function gets positions in m of the shape (3, n), so
-that x[0] are the first coordinates. A marker returns a mask (n,), others values whose last index is
-that of the point: (n,), (d, n) of vectors, (3, 3, n) of tensors.
-A function may fail on one rank only, so errors are returned: all ranks have to raise them together.
+They follow dolfinx, in 2D as well: a function gets positions in m of shape (3, n), so that x[0]
+holds the first coordinates. A marker returns a mask of shape (n,). Other functions return values
+whose last index is the point: (n,) for scalars, (d, n) for vectors, (3, 3, n) for tensors.
+A function may fail on one rank only. Errors are therefore returned, and the caller raises them on
+all ranks together.
 """
 
 from collections.abc import Callable
@@ -15,22 +16,22 @@ import numpy.typing as npt
 
 OfPosition: TypeAlias = Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
-# What functions raise that take the wrong axis of their argument.
+# Exceptions of functions that index the wrong axis of their argument.
 _OF_WRONG_SHAPES = (IndexError, TypeError, ValueError, np.exceptions.AxisError)
 
 
 def mask_at(
     marker: OfPosition, x: npt.NDArray[np.float64]
 ) -> tuple[Exception | None, npt.NDArray[np.bool_]]:
-    """Where a marker is true.
+    """Evaluate a marker.
 
     Args:
-        marker: Function of positions to a mask.
+        marker: Function from positions to a mask.
         x: Positions in m, shape (n, d).
 
     Returns:
-        What is wrong, a ValueError for a wrong shape, else what the marker raised; and the mask
-        (n,), false if anything is wrong.
+        The error, or None, and the mask of shape (n,), all false after an error. The error is a
+        ValueError for a wrong shape, otherwise what the marker raised.
     """
     error, given = _evaluate(marker, x, (), "b", "a mask")
     mask = np.zeros(len(x), dtype=bool) if given is None else np.ascontiguousarray(given)
@@ -40,14 +41,14 @@ def mask_at(
 def vectors_at(
     function: OfPosition, x: npt.NDArray[np.float64]
 ) -> tuple[Exception | None, npt.NDArray[np.float64]]:
-    """Values of a vector function, with as many components as positions have.
+    """Evaluate a vector function with d components.
 
     Args:
-        function: Function of positions to vectors.
+        function: Function from positions to vectors.
         x: Positions in m, shape (n, d).
 
     Returns:
-        What is wrong, as for `mask_at`; and the values (n, d), zero if anything is wrong.
+        The error, or None, as for `mask_at`; and the values of shape (n, d), zero after an error.
     """
     return values_at(function, x, x.shape[1:])
 
@@ -55,15 +56,16 @@ def vectors_at(
 def values_at(
     function: OfPosition, x: npt.NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[Exception | None, npt.NDArray[np.float64]]:
-    """Values of a function of some shape.
+    """Evaluate a function whose values have a given shape.
 
     Args:
-        function: Function of positions to values (*shape, n).
+        function: Function from positions to values of shape (*shape, n).
         x: Positions in m, shape (n, d).
-        shape: Of a value.
+        shape: Shape of one value.
 
     Returns:
-        What is wrong, as for `mask_at`; and the values (n, *shape), zero if anything is wrong.
+        The error, or None, as for `mask_at`; and the values of shape (n, *shape), zero after an
+        error.
     """
     error, given = _evaluate(function, x, shape, "biuf", "values")
     values = np.zeros((len(x), *shape))
@@ -73,40 +75,41 @@ def values_at(
 
 
 class CaughtMarker:
-    """A marker for dolfinx' functions that raises nothing, as they are collective.
+    """A marker that never raises, for dolfinx' collective functions.
 
     Attributes:
-        error: What was wrong, see `mask_at`; None if nothing was.
+        error: Error of the user's marker, see `mask_at`; None if there was none.
     """
 
     def __init__(self, marker: OfPosition):
-        """Take a user's marker."""
+        """Wrap a user's marker."""
         self._marker = marker
         self.error: Exception | None = None
 
     def __call__(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """Mask (n,) at positions (3, n), false if the user's marker fails."""
+        """Return the mask (n,) at positions (3, n), false if the user's marker fails."""
         error, mask = mask_at(self._marker, x.T)
         self.error = self.error or error
         return mask
 
 
 def name_of(function: OfPosition) -> str:
-    """What to call a user's function in messages."""
+    """Return the name of a user's function for messages."""
     return getattr(function, "__name__", repr(function))
 
 
 def _evaluate(
     function: OfPosition, x: npt.NDArray[np.float64], rows: tuple[int, ...], kinds: str, what: str
 ) -> tuple[Exception | None, npt.NDArray | None]:
-    """What is wrong, and values (*rows, n) of numpy's `kinds` if nothing is and there are points.
+    """Return the error, or None, and values of shape (*rows, n) of one of numpy's `kinds`.
 
-    Without points the function is not called: taking the largest of none, for example, would fail.
+    There are no values after an error. Without points the function is not called, as it may fail
+    on empty arrays: a maximum over no values does, for example.
     """
     n, d = x.shape
     if n == 0:
         return None, None
-    # Three points would hide that a function takes rows for columns: there one comes twice.
+    # With three points a function that mixes up rows and columns would go unnoticed: repeat one.
     count = n + (n == 3)
     positions = np.zeros((3, count))
     positions[:d, :n] = x.T
@@ -117,7 +120,7 @@ def _evaluate(
     )
     try:
         given = np.asarray(function(positions))
-    except Exception as caught:  # the user's own: other ranks must hear of it
+    except Exception as caught:  # from user code: other ranks must hear of it
         if type(caught) not in _OF_WRONG_SHAPES:
             return caught, None
         error = ValueError(f"{type(caught).__name__}: {caught} ({takes})")

@@ -1,30 +1,30 @@
 # SPDX-License-Identifier: MIT
-"""Arrays by name that are brought up to date when somebody looks at them.
+"""Arrays by name that are brought up to date only when somebody reads them.
 
-A time loop that keeps points in arrays of its own need not write them back after each step. It says
-which fields of the points are *pending* and how to get them. Its side of the contract:
+A time loop that keeps points in arrays of its own need not write them back after each step. It
+declares which fields of the points are *pending* and how to get them. The contract of the loop:
 
-1. At the end of a step (or of several), when each point is on the rank that owns its cell, it calls
-   ``points.defer(names, provide)``. The arrays of these names are dropped, and ``points.version``
-   grows if positions are among them. If points have changed ranks or places in the arrays since,
-   the arrays that are not pending have to follow: it takes them by ``points.present()`` and gives
-   them back as ``points.defer(names, provide, others)``.
-2. The first look at a pending field calls ``provide(name)``, which returns a new array for it, and
-   for others of the same call, if they come at little cost. It must not communicate: one rank may
-   look at what others do not. It may read other fields of the points. It answers for the state at
-   the last ``defer`` until the next one. If it raises, the points are as before.
-3. Before it begins the next step, it takes all fields from the points if ``points.version`` is not
-   what it was after ``defer``: then points were moved, sorted, added, removed or restored. Else it
-   takes those named by ``points.changed``, and its own arrays are right for all others. A field is
-   in ``changed`` if it was written, or handed out in an array that can be written. Copies
-   (``snapshot``, ``select``), read-only arrays (``x``, ``xi``, ``cell``) and the shapes of values
-   do not count. Different ranks may name different fields, so that no step of the loop that
-   communicates may depend on them.
+1. At the end of one or more steps, when each point is on the rank that owns its cell, the loop
+   calls ``points.defer(names, provide)``. The arrays of these names are dropped, and
+   ``points.version`` grows if positions are among them. If points have changed ranks or places in
+   the arrays since, the arrays that are not pending have to follow: the loop reads them from
+   ``points.present()`` and returns them by ``points.defer(names, provide, others)``.
+2. The first access to a pending field calls ``provide(name)``. It returns a new array for this
+   field, and for others of the same call if they cost little. It must not communicate, as one rank
+   may read fields that others do not. It may read other fields of the points. Until the next
+   ``defer`` it must return the state of the last one. If it raises, the points stay as they were.
+3. Before its next step, the loop compares ``points.version`` with the value after ``defer``. If it
+   differs, points were moved, sorted, added, removed or restored, and the loop reads all fields
+   again. Otherwise it reads the fields in ``points.changed``; its own arrays are right for all
+   others. A field is in ``changed`` if it was written, or handed out as an array that can be
+   written. Copies (``snapshot``, ``select``), read-only arrays (``x``, ``xi``, ``cell``) and shapes
+   of values do not count. Ranks may differ in ``changed``, so no communication of the loop may
+   depend on it.
 
-Cells and reference coordinates are pending with the positions; they are found from them by this
-rank alone. It is the same cell that all ranks together would have found, if points are where they
-belong: the lowest of those that touch the point, among the cells of its owner. Ids and tags, the
-number of points on the rank and on all ranks are never pending.
+Cells and reference coordinates are pending together with the positions, and each rank finds them
+alone. If points are where they belong, these are the cells that a search on all ranks would find:
+among the cells of the owner that touch the point, the one of lowest number. Ids, tags, and the
+numbers of points on the rank and on all ranks are never pending.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -33,37 +33,37 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-# From a name to an array of that name and, if they come with it, of others; shapes (n, *shape).
+# Function from a name to its array and, possibly, arrays of other names; shapes (n, *shape).
 Provider: TypeAlias = Callable[[str], Mapping[str, npt.NDArray]]
 
 
 class FieldTable(Mapping[str, npt.NDArray]):
-    """Arrays by name with one row a point. Reading a pending one brings it up to date.
+    """Arrays by name with one row per point; reading a pending one brings it up to date.
 
     Attributes:
-        changed: Those of the deferred names that were set or marked since they were deferred.
+        changed: Deferred names that were set or marked since they were deferred.
     """
 
     def __init__(self, arrays: Mapping[str, npt.NDArray]):
-        """Nothing is pending. Arrays are not copied."""
+        """Start with nothing pending. Arrays are not copied."""
         self._arrays = dict(arrays)  # placeholders where they are pending
         self._pending: dict[str, Provider] = {}
         self._deferred: set[str] = set()
         self.changed: set[str] = set()
 
     def __getitem__(self, name: str) -> npt.NDArray:
-        """The array of a name, up to date.
+        """Return the array of a name, up to date.
 
         Raises:
             KeyError: If there is no such name.
-            ValueError: For wrong arrays from the provider.
+            ValueError: If the provider returns wrong arrays.
         """
         if name in self._pending:
             self._bring(name)
         return self._arrays[name]
 
     def __setitem__(self, name: str, array: npt.NDArray) -> None:
-        """Replace an array or add one; what was pending for it is forgotten."""
+        """Replace or add an array; a pending one of this name is forgotten."""
         self._arrays[name] = array
         self._pending.pop(name, None)
         self.mark(name)
@@ -74,34 +74,34 @@ class FieldTable(Mapping[str, npt.NDArray]):
             self[name] = array
 
     def __iter__(self) -> Iterator[str]:
-        """Names in the order in which they were added."""
+        """Iterate over names in the order in which they were added."""
         return iter(self._arrays)
 
     def __len__(self) -> int:
-        """Number of names."""
+        """Return the number of names."""
         return len(self._arrays)
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is an array of this name, pending or not."""
+        """Return whether there is an array of this name, pending or not."""
         return name in self._arrays
 
     def mark(self, name: str) -> None:
-        """Say that others may change the array of a name."""
+        """Mark an array as possibly changed by others."""
         if name in self._deferred:
             self.changed.add(name)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of an array; what is pending stays so."""
+        """Return the shape of an array, without bringing it up to date."""
         return self._arrays[name].shape
 
     def present(self) -> dict[str, npt.NDArray]:
-        """The arrays that are not pending."""
+        """Return the arrays that are not pending."""
         return {name: a for name, a in self._arrays.items() if name not in self._pending}
 
     def settle(self, but: Collection[str] = ()) -> None:
-        """Bring all arrays up to date, but for some that are to be replaced."""
+        """Bring all arrays up to date, except those in `but`, which are about to be replaced."""
         for name in list(self._pending):
-            if name in self._pending and name not in but:  # it did not come with another one
+            if name in self._pending and name not in but:  # it may have come with another one
                 self._bring(name)
 
     def defer(
@@ -112,16 +112,17 @@ class FieldTable(Mapping[str, npt.NDArray]):
         """Drop arrays, which are pending from now on.
 
         Args:
-            providers: For each name to be deferred.
-            others: New arrays of all other names that are not pending, with a new number of rows.
+            providers: Provider of each name to be deferred.
+            others: New arrays, possibly with another number of rows, for exactly those names that
+                are not pending.
 
         Raises:
             KeyError: For names without arrays.
-            ValueError: For others that are not those names, and differ in their numbers of rows.
+            ValueError: If `others` has other names, or arrays of different numbers of rows.
         """
         unknown = [name for name in providers if name not in self._arrays]
         if unknown:
-            raise KeyError(f"no field '{unknown[0]}' to be deferred")
+            raise KeyError(f"there is no field '{unknown[0]}' to be deferred")
         pending = {**self._pending, **providers}
         arrays = dict(self._arrays)
         if others is not None:
@@ -129,7 +130,7 @@ class FieldTable(Mapping[str, npt.NDArray]):
             if set(others) != set(wanted) or len({len(a) for a in others.values()}) > 1:
                 shapes = {name: a.shape for name, a in others.items()}
                 raise ValueError(
-                    f"arrays of the same number of points are needed for {wanted}, not {shapes}"
+                    f"others must have arrays of one number of points for {wanted}, not {shapes}"
                 )
             arrays.update(others)
         count = len(next(arrays[name] for name in arrays if name not in pending))
@@ -140,23 +141,25 @@ class FieldTable(Mapping[str, npt.NDArray]):
         self.changed -= set(providers)
 
     def _bring(self, name: str) -> None:
-        """Ask the provider of a pending array."""
+        """Get a pending array from its provider."""
         provide = self._pending[name]
         brought = {key: a for key, a in provide(name).items() if self._pending.get(key) is provide}
         for key, array in brought.items():
             blank = self._arrays[key]
             if (array.shape, array.dtype) != (blank.shape, blank.dtype):
                 raise ValueError(
-                    f"pending field '{key}' of shape {blank.shape} and type {blank.dtype} came "
-                    f"with {array.shape} and {array.dtype}"
+                    f"the provider of pending field '{key}' must return shape {blank.shape} and "
+                    f"type {blank.dtype}, not {array.shape} and {array.dtype}"
                 )
         if name not in brought:
-            raise ValueError(f"pending field '{name}' did not come, but {sorted(brought)}")
+            raise ValueError(
+                f"the provider of pending field '{name}' returned {sorted(brought)} without it"
+            )
         self._arrays.update(brought)
         for key in brought:
             del self._pending[key]
 
 
 def _placeholder(count: int, array: npt.NDArray) -> npt.NDArray:
-    """An array of the type and row shape of another one, which takes no memory."""
+    """Return an array of the type and row shape of another one that takes no memory."""
     return np.broadcast_to(np.zeros((), dtype=array.dtype), (count, *array.shape[1:]))

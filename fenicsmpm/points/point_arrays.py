@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Arrays by name with one row a point."""
+"""Named arrays with one row per point."""
 
 from collections.abc import Mapping
 
@@ -11,23 +11,23 @@ from fenicsmpm.points.pending_fields import FieldTable
 
 # The arrays that every set of points has; all others are the user's fields.
 BUILT_IN = ("x", "weight", "xi", "cell", "id", "tag")
-# Changing these by hand would contradict the cells found for the points.
+# Changes by hand would contradict the cells found for the points.
 _READ_ONLY = ("x", "xi", "cell", "id")
 
 
 class PointArrays:
-    """What the points of this rank have: built-in arrays and the user's fields, by name."""
+    """Arrays of the points of this rank by name: the built-in ones and the user's fields."""
 
     _data: FieldTable
-    _initial: dict[str, npt.NDArray[np.float64]]  # of fields that began with one value for all
+    _initial: dict[str, npt.NDArray[np.float64]]  # of fields added with one value for all points
 
     def __len__(self) -> int:
-        """Number of points on this rank."""
+        """Return the number of points on this rank."""
         return self._data.shape("id")[0]
 
     @property
     def x(self) -> npt.NDArray[np.float64]:
-        """Positions in m, shape (n, d), read-only: see `move`."""
+        """Positions in m, shape (n, d), read-only; `move` changes them."""
         return self["x"]
 
     @property
@@ -61,7 +61,10 @@ class PointArrays:
         return tuple(name for name in self._data if name not in BUILT_IN)
 
     def field_shape(self, name: str) -> tuple[int, ...]:
-        """Shape of a field's value at one point.
+        """Return the shape of a field's value at one point.
+
+        Args:
+            name: Name of a field or built-in array.
 
         Raises:
             KeyError: If there is no such field.
@@ -71,11 +74,11 @@ class PointArrays:
 
     @property
     def changed(self) -> frozenset[str]:
-        """Deferred fields that may have other values than the loop's: see `pending_fields`."""
+        """Deferred fields whose values may differ from those of the loop: see `pending_fields`."""
         return frozenset(self._data.changed)
 
     def present(self) -> dict[str, npt.NDArray]:
-        """The arrays that are not pending, for loops that defer others: see `pending_fields`."""
+        """Return the arrays that are not pending, for loops that defer fields."""
         return self._data.present()
 
     def add_field(
@@ -86,8 +89,8 @@ class PointArrays:
         Args:
             name: Name of the field, the same on all ranks.
             shape: Shape of the value at one point.
-            value: Initial value, of shape `shape` or (n, *shape). One value for all is also that of
-                points which are added later without this field.
+            value: Initial value, of shape `shape` or (n, *shape). If one value is given for all
+                points, points that are added later without this field get it, too.
 
         Returns:
             The new array, shape (n, *shape).
@@ -106,13 +109,13 @@ class PointArrays:
         return array
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is a field or built-in array of this name."""
+        """Return whether there is a field or built-in array of this name."""
         return name in self._data
 
     def __getitem__(self, name: str) -> npt.NDArray:
-        """The array of a field itself, shape (n, *value_shape); no copy.
+        """Return the array of a field, shape (n, *value_shape), not a copy.
 
-        Hold no such array across `move`, `add`, `remove`, `sort` or a step: they may replace it.
+        Do not keep it across `move`, `add`, `remove`, `sort` or a time step: they may replace it.
         """
         self._check_name(name)
         array = self._data[name]
@@ -136,12 +139,13 @@ class PointArrays:
         assign(name, self[name], value)
 
     def assign(self, fields: Mapping[str, npt.NDArray[np.float64]]) -> None:
-        """Give fields new arrays, without copying them; the old arrays stay as they are.
+        """Replace the arrays of fields without copying; the old arrays stay unchanged.
 
         Args:
             fields: Arrays of shape (n, *value_shape) by name; also "weight".
 
         Raises:
+            KeyError: For names without a field.
             ValueError: For arrays of another shape, and weights that are not positive and finite.
         """
         for name, array in fields.items():
@@ -153,9 +157,9 @@ class PointArrays:
         self._data.update(fields)
 
     def snapshot(self, copy: bool = True) -> dict[str, npt.NDArray]:
-        """All arrays on this rank, to be given to `restore`.
+        """Return all arrays on this rank, for `restore`.
 
         Args:
-            copy: False for the arrays themselves, if nobody changes them in place.
+            copy: False returns the arrays themselves, for callers that never change them in place.
         """
         return {name: a.copy() if copy else a for name, a in self._data.items()}

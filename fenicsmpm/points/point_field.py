@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PointField: a UFL coefficient with one value per material point."""
+"""UFL coefficients with one value per material point."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ if TYPE_CHECKING:
 
 
 class PointField(ufl.Coefficient):
-    """A named array of a point set as a coefficient in UFL forms over these points.
+    """A field of material points as a coefficient in UFL forms over these points.
 
-    It reads the array at each assembly, so adding, removing or moving points needs no new form.
-    It has values only at the points: its gradient is an error, and so is its use in integrals
-    over cells or facets.
+    It reads the array of the field at each assembly. Forms need not be compiled again when points
+    are added, removed or moved. It has values at the points only: taking its gradient raises an
+    error, and so does an integral over cells or facets that contains it.
 
     Args:
-        points: the point set.
-        name: name of one of its fields.
-        shape: of a value; that of the field if not given.
+        points: The point set.
+        name: Name of one of its fields.
+        shape: Shape of a value; that of the field if not given.
 
     Attributes:
-        renewals: new values of fields of the points, by name, at the end of each step of a time
-            loop whose residual has this field; see ``renew``.
+        renewals: New values of fields of the points by name, set at the end of each step of a
+            time loop whose residual has this field; see ``renew``.
     """
 
     def __init__(
         self, points: MaterialPoints, name: str, shape: tuple[int, ...] | None = None
     ) -> None:
-        """Create the coefficient; use ``points.field(name)``."""
+        """Create the coefficient; users call ``points.field(name)`` instead."""
         mesh = points.mesh.ufl_domain()
         shape = points.field_shape(name) if shape is None else shape
-        # A quadrature element is UFL's own notion of "values at points only"; its degree must
+        # A quadrature element is UFL's own way to say "values at points only". Its degree must
         # not be zero, or UFL takes the field for constant in a cell and its gradient for zero.
         element = basix.ufl.quadrature_element(
             points.mesh.basix_cell(), value_shape=shape, degree=2
@@ -49,12 +49,12 @@ class PointField(ufl.Coefficient):
         self.renewals: Mapping[str, Any] = {}
 
     def renew(self, value: Any) -> PointField:
-        """Say what the field is to be at the end of each step of a time loop that uses it.
+        """Set the value that the field takes at the end of each step of a time loop.
 
         Args:
-            value: UFL over the points, in which the field itself has the value of the beginning of
-                the step; a function that returns a new array ``(n_points, *shape)``; or a function
-                from the ``Kinematics`` of the step to UFL.
+            value: One of three: a UFL expression over the points, in which the field itself has
+                its value at the beginning of the step; a function that returns a new array of
+                shape ``(n_points, *shape)``; a function from the ``Kinematics`` of the step to UFL.
 
         Returns:
             The field itself.
@@ -64,11 +64,11 @@ class PointField(ufl.Coefficient):
 
     @property
     def values(self) -> npt.NDArray[np.float64]:
-        """The array of the point set, ``(n_points, *ufl_shape)``, not a copy."""
+        """Return the array of the point set, shape ``(n_points, *ufl_shape)``, not a copy."""
         return self.points[self.name]
 
     def __str__(self) -> str:
-        """Name of the field, as it appears in printed forms."""
+        """Return the name of the field, as it appears in printed forms."""
         return self.name
 
 
@@ -76,15 +76,15 @@ class ComputedField(PointField):
     """Values at points that are computed before each evaluation, such as the stresses of a law.
 
     Args:
-        points: the point set.
-        name: to be shown in printed forms.
-        shape: of a value.
-        update: computes the values anew; fields that share it are computed together.
-        read: returns the values, ``(n_points, *shape)`` in storage order.
+        points: The point set.
+        name: Name in printed forms.
+        shape: Shape of a value.
+        update: Function that computes the values anew. Fields that share it are computed together.
+        read: Function that returns the values in storage order, shape ``(n_points, *shape)``.
 
     Attributes:
-        source: what computes the values, such as a law; None if nobody is to know.
-        inputs: fields from which they are computed, if a time loop has to renew these.
+        source: The object that computes the values, such as a law; None if nobody needs to know.
+        inputs: Fields from which they are computed, if a time loop has to update these.
     """
 
     source: Any = None
@@ -105,5 +105,5 @@ class ComputedField(PointField):
 
     @property
     def values(self) -> npt.NDArray[np.float64]:
-        """The values of the last update, ``(n_points, *ufl_shape)``, not a copy."""
+        """Return the values of the last update, shape ``(n_points, *ufl_shape)``, not a copy."""
         return self._read()

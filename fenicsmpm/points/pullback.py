@@ -4,7 +4,7 @@
 Cells are given by the coefficients of their map in monomials of the reference coordinates, see
 `fenicsmpm.points.geometry`. The functions write the reference coordinates into a scratch array and
 return the margin: the smallest barycentric coordinate (simplices) or the smallest distance to a
-face of the reference cell (quadrilaterals, hexahedra). It is negative outside the cell.
+face of the reference cell (quadrilaterals, hexahedra). The margin is negative outside the cell.
 """
 
 import numpy as np
@@ -24,18 +24,18 @@ def reference_point(
     p: int,
     xi: npt.NDArray[np.float64],
 ) -> float:
-    """Reference coordinates of point `x[p]` in cell c.
+    """Compute the reference coordinates of point `x[p]` in cell c.
 
     Args:
-        coefficients: Of the cell maps, shape (cells, k, d).
-        inverse: Inverse Jacobians of the simplices, shape (cells, d, d); not used for others.
+        coefficients: Coefficients of the cell maps, shape (cells, k, d).
+        inverse: Inverse Jacobians of simplices, shape (cells, d, d); not used for other cells.
         c: Cell.
         x: Points, shape (n, d).
         p: Index of the point.
         xi: Result, shape (d,).
 
     Returns:
-        The margin; minus infinity where the inverse map was not found.
+        The margin; minus infinity if the inverse map was not found.
     """
     d = x.shape[1]
     if coefficients.shape[1] == d + 1:
@@ -60,9 +60,9 @@ def _simplex(coefficients, inverse, c, x, p, xi):  # type: ignore[no-untyped-def
     return min(margin, last)
 
 
-# Newton's method converges quadratically, so that the iterate after a step below 1e-9 is exact up
-# to round-off. Iterates are kept near the reference cell: points inside are found from its centre,
-# and what wanders off is outside.
+# Newton's method converges quadratically: after a step below 1e-9 the iterate is exact up to
+# round-off. Iterates are kept near the reference cell. Points inside are found from its centre,
+# so an iterate that leaves this range means that the point is outside.
 
 
 @njit
@@ -123,7 +123,7 @@ def _hexahedron(coefficients, c, x, p, xi):  # type: ignore[no-untyped-def]
 
 @njit
 def _trilinear(a, c, i, u, v, w):  # type: ignore[no-untyped-def]
-    """Component i of the map without its constant part, and its derivatives by u, v, w."""
+    """Return component i of the map without its constant, and its derivatives by u, v, w."""
     value = (
         a[c, 1, i] * u
         + a[c, 2, i] * v

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Looking for the points of a body block by block.
+"""Seeding block by block.
 
-There may be many more points in the mesh than in the body: only one block of them is kept at a
-time.
+The mesh may have room for many more points than the body has. Only one block of candidates is kept
+in memory at a time.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -27,7 +27,7 @@ _MANY = 1 << 16
 
 
 def owned_of(mesh: Mesh, geometry: CellGeometry, cells: npt.ArrayLike | None) -> Cells:
-    """The cells to fill on this rank, ascending."""
+    """Return the cells to fill on this rank, ascending."""
     if cells is None:
         return np.arange(geometry.num_owned, dtype=np.int32)
     given = np.unique(np.asarray(cells))
@@ -41,7 +41,7 @@ def owned_of(mesh: Mesh, geometry: CellGeometry, cells: npt.ArrayLike | None) ->
 
 
 def mesh_bounds(mesh: Mesh, geometry: CellGeometry) -> tuple[Array, Array]:
-    """Lowest and highest coordinates in m of the mesh, each of shape (d,). Collective."""
+    """Return the lowest and highest coordinates in m of the mesh, shape (d,) each. Collective."""
     lower, upper = own_bounds(geometry)
     origin, end = np.empty((2, geometry.dim))
     mesh.comm.Allreduce(lower, origin, MPI.MIN)
@@ -50,7 +50,7 @@ def mesh_bounds(mesh: Mesh, geometry: CellGeometry) -> tuple[Array, Array]:
 
 
 def own_bounds(geometry: CellGeometry) -> tuple[Array, Array]:
-    """Lowest and highest coordinates in m of this rank's cells; infinity, if it has none."""
+    """Return the lowest and highest coordinates in m of this rank's cells; infinity without any."""
     lower, upper = np.full(geometry.dim, np.inf), np.full(geometry.dim, -np.inf)
     for block in geometry.blocks(geometry.num_owned):
         corners = geometry.corners(block)
@@ -62,9 +62,9 @@ def own_bounds(geometry: CellGeometry) -> tuple[Array, Array]:
 def lattice_indices(
     lower: Array, upper: Array, origin: Array, spacing: Array
 ) -> Iterator[npt.NDArray[np.int64]]:
-    """Indices (n, d) of the lattice points in a box, and a few beside, some at a time.
+    """Yield indices (n, d) of the lattice points in a box, and of a few around it, in blocks.
 
-    The box is from `lower` to `upper` (infinity, if there is none).
+    The box extends from `lower` to `upper`, which are infinite if there is none.
     """
     if not np.all(np.isfinite(upper)):
         return
@@ -78,19 +78,19 @@ def lattice_indices(
 def lattice_numbers(
     index: npt.NDArray[np.int64], upper: Array, origin: Array, spacing: Array
 ) -> npt.NDArray[np.int64]:
-    """Numbers (n,) in the whole lattice, up to `upper`, of points with indices (n, d)."""
+    """Return the numbers (n,) of points with indices (n, d) in the whole lattice up to `upper`."""
     counts = tuple(_last(upper, origin, spacing) + 1)
     return np.asarray(np.ravel_multi_index(tuple(index.T), counts), dtype=np.int64)
 
 
 def _last(upper: Array, origin: Array, spacing: Array) -> npt.NDArray[np.int64]:
-    """Highest indices (d,) of lattice points in a box up to `upper`, or a few beside."""
+    """Return the highest indices (d,) of lattice points up to `upper`, or slightly more."""
     last: npt.NDArray[np.int64] = np.ceil((upper - origin) / spacing - 0.5).astype(np.int64)
     return last
 
 
 def split(filled: Cells, per_cell: int) -> Iterator[Cells]:
-    """The filled cells, some at a time."""
+    """Yield the filled cells in blocks."""
     step = max(1, _MANY // per_cell)
     for start in range(0, len(filled), step):
         yield filled[start : start + step]
@@ -105,20 +105,20 @@ def make_points(
     tag: int,
     what: str,
 ) -> MaterialPoints:
-    """Points at known reference coordinates, as far as they are inside, cell by cell.
+    """Create points at given reference coordinates, where they are inside the region.
 
-    They are numbered cell by cell of the mesh as it was input.
+    Points are numbered cell by cell, in the order of the cells in the input mesh.
 
     Args:
         mesh: Background mesh.
         geometry: Shapes of its cells.
-        blocks: Some cells (n,), and the coordinates of their points, cell by cell and the same
-            number in each, shape (m, d). There may be many more of these than of points inside: no
-            more than a block of them is kept at a time.
-        weigh: From a block to the weights, shape (m,).
-        inside: Only points where this is true.
+        blocks: Pairs of cells, shape (n,), and reference coordinates of their points, shape (m, d),
+            cell by cell with the same number in each cell. Only one block is kept at a time, as
+            there may be many more candidates than points inside.
+        weigh: Function from a block to the weights, shape (m,).
+        inside: Predicate; only points where it is true are kept.
         tag: Tag of the points.
-        what: For the message if there are none.
+        what: Name of the seeding in the message if there are no points.
     """
     none = np.zeros((0, geometry.dim))
     kept: list[tuple[npt.NDArray, ...]] = [

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Where material points come from: cells, regions, other meshes, boundaries.
+"""Seeding of material points in cells, regions, other meshes and on boundaries.
 
-Functions that take a predicate `inside` call it as dolfinx calls its markers: with positions in m
-of the shape (3, n), so that x[0] are the first coordinates, and expect a mask of the shape (n,).
-All functions are collective, and raise on all ranks, also what a predicate raises on one of them.
+Functions with a predicate `inside` call it as dolfinx calls its markers: with positions in m of
+shape (3, n), so that x[0] holds the first coordinates. It must return a mask of shape (n,).
+All functions are collective. They raise errors on all ranks, also if a predicate fails on one rank.
 
-Ids do not depend on the number of ranks. Exceptions are points on facets between cells, and in
-cells whose numbers depend on it, as dolfinx made their mesh from another one.
+Ids do not depend on the number of ranks, with two exceptions: points on facets between cells, and
+points in meshes that dolfinx made from another mesh, whose cell numbers depend on the ranks.
 """
 
 import itertools
@@ -38,9 +38,9 @@ from fenicsmpm.points.seed_blocks import (
     split,
 )
 
-# Lattice points closer to a facet than this part of a cell may be claimed by several ranks.
+# Lattice points closer to a facet than this fraction of a cell may be claimed by several ranks.
 _NEAR_FACET = 1e-9
-# Cells for which random numbers are drawn at a time.
+# Number of cells for which random numbers are drawn at a time.
 _BLOCK = 1 << 14
 
 
@@ -51,18 +51,21 @@ def quadrature(
     inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
-    """Points of the quadrature rule that dolfinx uses for integrals of this degree.
+    """Seed points at the quadrature points that dolfinx uses for integrals of this degree.
 
     Args:
         mesh: Background mesh.
         degree: Polynomial degree that the rule integrates exactly on affine cells.
-        cells: Local cells to fill (those owned by other ranks are left to them); None for all.
-        inside: Only points where this is true.
+        cells: Local cells to fill; cells that other ranks own are ignored here. None for all.
+        inside: Predicate; only points where it is true are kept.
         tag: Tag of the points.
 
+    Returns:
+        The points; their weights are volumes in m^d, in 2D per unit thickness.
+
     Raises:
-        ValueError: If there are no points at all, or the rule has weights that are not positive
-            (on tetrahedra those of degree 3, 7 and 8 are so).
+        ValueError: If there are no points at all, or if the rule has weights that are not positive
+            (as on tetrahedra the rules of degree 3, 7 and 8).
     """
     if degree < 0:
         raise ValueError(f"a quadrature degree must be at least 0, not {degree}")
@@ -91,23 +94,26 @@ def fill(
     inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
-    """Points in the centres of equal parts of each cell.
+    """Seed points at the centres of equal parts of each cell.
 
-    Cells are cut into per_side**d parts of their own kind. The points of a cell share its volume:
-    equally in affine cells, in others in proportion to det dx/dxi.
+    Each cell is cut into per_side**d parts of its own kind. Its points share the volume of the
+    cell: equally in affine cells, otherwise in proportion to det dx/dxi.
 
     Args:
         mesh: Background mesh.
-        per_side: Parts along each edge of a cell.
+        per_side: Number of parts along each edge of a cell.
         cells: Local cells to fill, as for `quadrature`.
-        inside: Only points where this is true.
+        inside: Predicate; only points where it is true are kept.
         tag: Tag of the points.
 
+    Returns:
+        The points; their weights are volumes in m^d, in 2D per unit thickness.
+
     Raises:
-        ValueError: If there are no points at all.
+        ValueError: If there are no points at all, or `per_side` is less than 1.
     """
     if per_side < 1:
-        raise ValueError(f"cells can be cut into 1 or more parts a side, not {per_side}")
+        raise ValueError(f"per_side must be at least 1, not {per_side}: cells are cut into parts")
     geometry = cell_geometry(mesh)
     points = _centres(geometry, per_side)
     filled = owned_of(mesh, geometry, cells)
@@ -124,24 +130,27 @@ def random(
     inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
-    """Uniformly distributed random points in each cell.
+    """Seed uniformly distributed random points in each cell.
 
-    They depend on the seed and on the number of the cell in the mesh as it was input, not on the
-    number of ranks. The points of a cell share its volume as for `fill`.
+    Positions depend on the seed and on the number of the cell in the input mesh, but not on the
+    number of ranks. The points of a cell share its volume as in `fill`.
 
     Args:
         mesh: Background mesh.
-        per_cell: Points in a cell.
-        seed: Seed of the random numbers.
+        per_cell: Number of points per cell.
+        seed: Seed of the random number generator.
         cells: Local cells to fill, as for `quadrature`.
-        inside: Only points where this is true.
+        inside: Predicate; only points where it is true are kept.
         tag: Tag of the points.
 
+    Returns:
+        The points; their weights are volumes in m^d, in 2D per unit thickness.
+
     Raises:
-        ValueError: If there are no points at all.
+        ValueError: If there are no points at all, or `per_cell` is less than 1.
     """
     if per_cell < 1:
-        raise ValueError(f"1 or more random points a cell are possible, not {per_cell}")
+        raise ValueError(f"per_cell must be at least 1 random point, not {per_cell}")
     geometry = cell_geometry(mesh)
     filled = owned_of(mesh, geometry, cells)
     highest = mesh.comm.allreduce(int(geometry.key.max(initial=-1)), MPI.MAX)
@@ -156,16 +165,19 @@ def lattice(
     inside: OfPosition | None = None,
     tag: int = 0,
 ) -> MaterialPoints:
-    """Points on a regular lattice, independent of the cells.
+    """Seed points on a regular lattice, independently of the cells.
 
-    The lattice starts half a spacing from the lower corner of the mesh's bounding box. Every point
-    in the mesh (and `inside`) has the weight spacing**d, or the product of the spacings.
+    The lattice starts half a spacing from the lower corner of the bounding box of the mesh. Each
+    point in the mesh (and `inside`) has the weight spacing**d, or the product of the spacings.
 
     Args:
         mesh: Background mesh.
         spacing: Distance of neighbours in m, one number or one for each direction.
-        inside: Only points where this is true.
+        inside: Predicate; only points where it is true are kept.
         tag: Tag of the points.
+
+    Returns:
+        The points; their weights are volumes in m^d, in 2D per unit thickness.
 
     Raises:
         ValueError: If a spacing is not positive or there are no points at all.
@@ -197,8 +209,8 @@ def lattice(
     highest = xi.sum(axis=1) if geometry.is_simplex else xi.max(axis=1)
     clear = np.minimum(margin, 1.0 - highest) > _NEAR_FACET
     mine = index[(cell >= 0) & (cell < geometry.num_owned) & clear]
-    # Points on facets between ranks may be seen by several or be given away by all: collect them
-    # once and let MaterialPoints find their owners.
+    # Several ranks, or none, may see points on facets between ranks: collect these points once
+    # and let MaterialPoints find their owners.
     shared = np.concatenate(mesh.comm.allgather(index[(cell >= 0) & ~clear]))
     shared = np.unique(shared, axis=0)[mesh.comm.rank :: mesh.comm.size]
     index = np.concatenate([mine, shared])
@@ -211,13 +223,16 @@ def lattice(
 
 
 def from_mesh(background: Mesh, body: MaterialPoints) -> MaterialPoints:
-    """The same points (weights, tags, fields, order of ids) on another mesh.
+    """Copy points with weights, tags, fields and order of ids to another mesh.
 
-    For bodies with a mesh of their own: `from_mesh(background, quadrature(body_mesh, 2))`.
+    This serves bodies with a mesh of their own: `from_mesh(background, quadrature(body_mesh, 2))`.
 
     Args:
         background: Mesh to put the points on, on the same ranks.
         body: Points seeded on any other mesh.
+
+    Returns:
+        Points on the background mesh, in the cells that contain them.
 
     Raises:
         PointsOutsideError: If some point is outside of the background mesh.
@@ -233,21 +248,24 @@ def from_mesh(background: Mesh, body: MaterialPoints) -> MaterialPoints:
 def on_facets(
     mesh: Mesh, facets: npt.ArrayLike | OfPosition, degree: int = 1, tag: int = 0
 ) -> MaterialPoints:
-    """Points of a quadrature rule on facets, weighted by area (3D) or length (2D).
+    """Seed the points of a quadrature rule on facets, weighted by area (3D) or length (2D).
 
-    Their field "normal", of the shape (d,), is the unit normal that points out of the cell of the
-    facet; of a facet between two cells, out of the one that dolfinx lists first.
+    The points have a field "normal" of shape (d,): the unit normal that points out of the cell of
+    the facet. If a facet lies between two cells, it points out of the one that dolfinx lists first.
 
     Args:
-        mesh: Mesh of the facets; see `from_mesh` to bring the points to another one.
-        facets: Local facets (those owned by other ranks are left to them), or a predicate as
-            `inside`: all boundary facets of which it is true at all vertices.
-        degree: Degree that the rule integrates exactly on affine facets; 1 is one point a facet on
-            simplices and quadrilaterals.
+        mesh: Mesh of the facets; `from_mesh` brings the points to another mesh.
+        facets: Local facets (those that other ranks own are ignored here), or a predicate like
+            `inside`. A predicate selects the boundary facets at whose vertices it is true.
+        degree: Degree that the rule integrates exactly on affine facets. Degree 1 gives one point
+            per facet on simplices and quadrilaterals.
         tag: Tag of the points.
 
+    Returns:
+        The points; their weights are areas in m^2, in 2D lengths in m.
+
     Raises:
-        ValueError: If there are no points at all.
+        ValueError: If there are no points at all, or no such facets.
     """
     geometry = cell_geometry(mesh)
     d = geometry.dim
@@ -263,7 +281,10 @@ def on_facets(
     index_map = mesh.topology.index_map(d - 1)
     error = None
     if len(chosen) and (chosen[0] < 0 or chosen[-1] >= index_map.size_local + index_map.num_ghosts):
-        error = ValueError(f"no such facets on rank {mesh.comm.rank}: {chosen[0]} to {chosen[-1]}")
+        error = ValueError(
+            f"facets on rank {mesh.comm.rank} must be local indices from 0, not {chosen[0]} to "
+            f"{chosen[-1]}"
+        )
     raise_together(mesh.comm, error)
     chosen = chosen[chosen < index_map.size_local]
 
@@ -284,7 +305,7 @@ def on_facets(
     metric = np.swapaxes(tangents, 1, 2) @ tangents
     weight = np.tile(weights, len(chosen)) * np.sqrt(np.linalg.det(metric))
     check_any(mesh, len(weight), "a rule on facets", facets if callable(facets) else None)
-    # a facet is numbered by the cell it is seen from, on the boundary its only one
+    # A facet is numbered by the cell from which it is seen; on the boundary there is only one.
     number = geometry.key[cell] * of_cell.shape[1] + side
     number = number * len(weights) + np.tile(np.arange(len(weights)), len(chosen))
     x = geometry.push_forward(cell, xi)
@@ -301,13 +322,16 @@ def on_facets(
 
 
 def at(mesh: Mesh, x: npt.ArrayLike, weight: float = 1.0, tag: int = 0) -> MaterialPoints:
-    """Points at given positions, such as a probe that follows the motion as a `carried` point.
+    """Seed points at given positions, such as a probe that moves with the material.
 
     Args:
         mesh: Background mesh.
-        x: Positions in m, the same on all ranks, shape (d,) for one or (n, d).
-        weight: Of each of them.
+        x: Positions in m, the same on all ranks, shape (d,) for one point or (n, d).
+        weight: Weight of each point.
         tag: Tag of the points.
+
+    Returns:
+        The points, in the order of the positions.
 
     Raises:
         ValueError: If the positions have another shape.
@@ -321,10 +345,10 @@ def at(mesh: Mesh, x: npt.ArrayLike, weight: float = 1.0, tag: int = 0) -> Mater
 def on_curve(
     mesh: Mesh, a: npt.ArrayLike, b: npt.ArrayLike, spacing: float, tag: int = 0
 ) -> MaterialPoints:
-    """Midpoints of equal segments of the straight line from a to b, weighted by length.
+    """Seed the midpoints of equal segments of the straight line from a to b, weighted by length.
 
-    In the plane they have the field "normal", of the shape (2,), the unit normal to the right of
-    the way from a to b: it points out of a body whose boundary is run through counter-clockwise.
+    In 2D the points have a field "normal" of shape (2,): the unit normal to the right of the line
+    from a to b. It points out of a body whose boundary is traversed counter-clockwise.
 
     Args:
         mesh: Background mesh.
@@ -332,6 +356,9 @@ def on_curve(
         b: End in m, shape (d,).
         spacing: Largest length of a segment in m.
         tag: Tag of the points.
+
+    Returns:
+        The points; their weights are lengths in m.
 
     Raises:
         ValueError: If the spacing is not positive or the line has no length.
@@ -343,9 +370,11 @@ def on_curve(
         raise ValueError(f"ends of a line need {dim} coordinates, not {start} and {end}")
     length = float(np.linalg.norm(end - start))
     if not (0.0 < spacing < np.inf and 0.0 < length < np.inf):
-        raise ValueError(f"a line of length {length} cannot have points at a spacing of {spacing}")
+        raise ValueError(
+            f"a line needs a positive length and a positive spacing, not {length} and {spacing}"
+        )
     n = max(1, int(np.ceil(length / spacing * (1.0 - 1e-12))))
-    here = n if mesh.comm.rank == 0 else 0  # they go from there to the owners of their cells
+    here = n if mesh.comm.rank == 0 else 0  # rank 0 sends them to the owners of their cells
     x = start + (np.arange(here)[:, None] + 0.5) / n * (end - start)
     line = MaterialPoints(mesh, x, length / n, tag=tag)
     if dim == 2:
@@ -355,13 +384,13 @@ def on_curve(
 
 
 def _centres(geometry: CellGeometry, k: int) -> npt.NDArray[np.float64]:
-    """Centres of k**d equal parts of the reference cell, shape (k**d, d)."""
+    """Return the centres of k**d equal parts of the reference cell, shape (k**d, d)."""
     d = geometry.dim
     boxes = np.array(list(itertools.product(range(k), repeat=d)), dtype=np.float64)
     if not geometry.is_simplex:
         return (boxes + 0.5) / k
-    # Kuhn's subdivision: the simplex 1 > y_1 > .. > y_d > 0 consists of those of the d! simplices
-    # in each of k**d boxes that lie in it, all alike.
+    # Kuhn's subdivision: each of k**d boxes holds d! equal simplices. The simplex
+    # 1 > y_1 > .. > y_d > 0 consists of those that lie in it.
     inner = np.arange(d, 0, -1) / (d + 1)
     corners = np.array(list(itertools.permutations(inner)))
     y = ((boxes[:, None] + corners) / k).reshape(-1, d)
@@ -372,7 +401,7 @@ def _centres(geometry: CellGeometry, k: int) -> npt.NDArray[np.float64]:
 def _shares(
     geometry: CellGeometry, filled: npt.NDArray[np.int32], xi: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Shares of the cells' volumes for the same number of points xi in each filled cell."""
+    """Return the fractions of the cells' volumes, with the same points xi in each filled cell."""
     if not len(filled):
         return np.zeros(0)
     n = len(xi) // len(filled)
@@ -384,11 +413,11 @@ def _shares(
 def _draw(
     geometry: CellGeometry, filled: Cells, highest: int, per_cell: int, seed: int
 ) -> Iterator[tuple[Cells, Array]]:
-    """Random reference coordinates in the filled cells, some cells at a time."""
+    """Yield random reference coordinates in the filled cells, some cells at a time."""
     rng = np.random.default_rng(seed)
     key = geometry.key[filled]
     for start in range(0, highest + 1, _BLOCK):
-        # All ranks draw the numbers of all cells, a block at a time, and take those of their own.
+        # All ranks draw the numbers of all cells, a block at a time, and keep those of their cells.
         numbers = rng.random((min(_BLOCK, highest + 1 - start), per_cell, geometry.dim))
         mine = np.flatnonzero((key >= start) & (key < start + _BLOCK))
         xi = numbers[key[mine] - start]

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: MIT
-"""Points by cell, or by another number."""
+"""Sorting of points by cell or by another number."""
 
 import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm._njit import njit
 
-# Bits that are sorted by at a time: their counts stay in the first cache.
+# Number of bits sorted at a time: the counts then fit into the first-level cache.
 _BITS = 11
 
 
 def order_by_number(number: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """Stable sort, with no memory for numbers that no point has, of which there may be many more.
+    """Sort stably, with memory that does not grow with the largest number.
 
     Args:
-        number: Of each point, from 0, shape (n,).
+        number: Non-negative number of each point, shape (n,).
 
     Returns:
-        The order (n,) of the points by number, int64.
+        The order of the points by number, shape (n,), int64.
     """
     highest = int(number.max(initial=0))
     if highest < len(number):
@@ -27,7 +27,7 @@ def order_by_number(number: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
 
 @njit
 def _sort_by_bits(number, highest):  # type: ignore[no-untyped-def]
-    """Order (n,) of numbers up to the highest, by sorting for the lower bits first."""
+    """Return the order (n,) of numbers up to `highest`, sorted from the lowest bits upwards."""
     n = len(number)
     order = np.arange(n)
     other = np.empty_like(order)
@@ -52,15 +52,15 @@ def _sort_by_bits(number, highest):  # type: ignore[no-untyped-def]
 def sort_by_number(
     number: npt.NDArray[np.integer], count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Stable counting sort.
+    """Sort by counting, stably.
 
     Args:
-        number: Of each point, such as its cell, shape (n,).
-        count: How many numbers there are, from 0.
+        number: Number of each point, such as its cell, shape (n,).
+        count: Upper bound of the numbers, which lie from 0 to count - 1.
 
     Returns:
-        order (n,) and offsets (count + 1,), both int64: the points with number c are
-        order[offsets[c]:offsets[c + 1]].
+        The order, shape (n,), and offsets, shape (count + 1,), both int64: the points with number
+        c are ``order[offsets[c]:offsets[c + 1]]``.
     """
     offsets = np.zeros(count + 1, dtype=np.int64)
     for c in number:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Solids by their boundaries, as predicates and signed distances; knows no mesh and no ranks."""
+"""Solids as predicates and signed distances, independent of meshes and ranks."""
 
 from fenicsmpm.shapes.box import Box
 from fenicsmpm.shapes.fractions import fractions

@@ -10,24 +10,24 @@ Array = npt.NDArray[np.float64]
 
 
 class Box:
-    """An axis-parallel box; a wall or a half-space is one whose other ends are infinite.
+    """Axis-parallel box; with infinite sides also a wall or a half-space.
 
     Attributes:
-        dim: d, 2 or 3.
+        dim: Dimension d, 2 or 3.
         lower: Lowest coordinates in m, shape (d,).
         upper: Highest coordinates in m, shape (d,).
-        volume: In m^d.
-        centroid: In m, shape (d,).
-        second_moment: Integral of (x - centroid) (x - centroid)^T, shape (d, d), in m^(d + 2); of
-            no value for a box without end.
+        volume: Volume in m^d.
+        centroid: Centroid in m, shape (d,).
+        second_moment: Integral of (x - centroid) (x - centroid)^T in m^(d + 2), shape (d, d);
+            meaningless for an infinite box.
     """
 
     def __init__(self, lower: npt.ArrayLike, upper: npt.ArrayLike):
-        """Take two opposite corners.
+        """Create a box from two opposite corners.
 
         Args:
-            lower: Lowest coordinates in m, shape (d,).
-            upper: Highest coordinates in m, shape (d,); both may be infinite.
+            lower: Lowest coordinates in m, shape (d,); they may be infinite.
+            upper: Highest coordinates in m, shape (d,); they may be infinite.
 
         Raises:
             ValueError: For corners of other shapes or in the wrong order.
@@ -36,23 +36,25 @@ class Box:
         self.upper: Array = np.array(upper, dtype=np.float64)
         if self.lower.shape != self.upper.shape or self.lower.shape not in ((2,), (3,)):
             raise ValueError(
-                f"corners of a box are 2 or 3 numbers each, not {self.lower} and {self.upper}"
+                f"corners of a box need 2 or 3 numbers each, not {self.lower} and {self.upper}"
             )
         if not np.all(self.lower < self.upper):
-            raise ValueError(f"corners of a box in the wrong order: {self.lower}, {self.upper}")
+            raise ValueError(
+                f"corners of a box must be in order, lower below upper: {self.lower}, {self.upper}"
+            )
         self.dim = len(self.lower)
         size = self.upper - self.lower
         self.volume = float(np.prod(size))
-        with np.errstate(invalid="ignore"):  # without end, it has none
+        with np.errstate(invalid="ignore"):  # an infinite box has none
             self.centroid = (self.lower + self.upper) / 2
             self.second_moment = np.diag(self.volume * size**2 / 12)
 
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest coordinates in m, each of shape (d,)."""
+        """Return the lowest and highest coordinates in m, each of shape (d,)."""
         return self.lower, self.upper
 
     def distance(self, x: npt.ArrayLike) -> Array:
-        """Signed distance from the surface in m, negative inside, shape (n,).
+        """Return the signed distance from the surface in m, negative inside, shape (n,).
 
         Args:
             x: Positions in m, shape (3, n) as in dolfinx; in 2D also (2, n).
@@ -63,9 +65,9 @@ class Box:
         return np.where(outside > 0, outside, beyond.max(axis=1))
 
     def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Which positions (3, n) are inside, as a mask of shape (n,)."""
+        """Return which positions (3, n) are inside, as a mask of shape (n,)."""
         return self.distance(x) < 0
 
     def __repr__(self) -> str:
-        """Corners."""
+        """Return the corners as text."""
         return f"Box({self.lower.tolist()}, {self.upper.tolist()})"

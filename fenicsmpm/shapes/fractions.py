@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which part of boxes is in a solid."""
+"""Fractions of boxes that lie in a solid."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,30 +8,31 @@ from fenicsmpm._njit import njit
 from fenicsmpm.shapes.solid import Solid
 from fenicsmpm.shapes.tree import closest, winding
 
-# Points along each side of a box at which solid and plane are compared.
+# Points along each side of a box at which solid and half-space are compared.
 _POINTS = 4
-# Components of a normal below this part of the largest one count as zero.
+# Components of a normal below this fraction of the largest one count as zero.
 _SMALL = 1e-4
-# Points closer to the plane than this part of the box are on it.
+# Points closer to the plane than this fraction of the box lie on it.
 _ON = 1e-9
 
 
 def fractions(
     solid: Solid, centre: npt.NDArray[np.float64], size: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Part of each of many equal boxes that is in a solid.
+    """Return the fraction of each of many equal boxes that lies in a solid.
 
-    It is the part behind the plane through the closest point of the boundary, which is exact for a
-    box that one facet cuts, and the difference between solid and plane at 4^d points, which sees
-    edges, curvature and thin parts.
+    It is the sum of two parts. The first is the fraction of the box behind the plane through the
+    closest point of the boundary, which is exact for a box cut by one facet. The second is the
+    difference between solid and half-space at 4^d points of the box. It captures edges, curvature
+    and thin parts.
 
     Args:
         solid: The solid.
         centre: Centres of the boxes in m, shape (n, d).
-        size: Their sides in m, shape (d,).
+        size: Side lengths of the boxes in m, shape (d,).
 
     Returns:
-        Numbers from 0 to 1, shape (n,).
+        Fractions from 0 to 1, shape (n,).
     """
     result: npt.NDArray[np.float64] = _fractions(solid.tree, np.ascontiguousarray(centre), size)
     return result
@@ -39,10 +40,10 @@ def fractions(
 
 @njit
 def _behind_plane(normal, offset, size):  # type: ignore[no-untyped-def]
-    """Part of a box where normal . (x - centre) <= offset.
+    """Return the fraction of a box where normal . (x - centre) <= offset.
 
-    R. Scardovelli and S. Zaleski, J. Comput. Phys. 164 (2000) 228-237, for a unit box in which the
-    normal has no negative component: inclusion and exclusion of corners.
+    R. Scardovelli and S. Zaleski, J. Comput. Phys. 164 (2000) 228-237: inclusion and exclusion of
+    corners, for a unit box in which the normal has no negative component.
     """
     d = len(size)
     slope, largest = np.empty(d), 0.0
@@ -60,7 +61,7 @@ def _behind_plane(normal, offset, size):  # type: ignore[no-untyped-def]
         return 0.0
     if level >= total:
         return 1.0
-    # the smaller part has less cancellation
+    # compute the smaller part, which has less cancellation
     level, turned = (total - level, True) if 2.0 * level > total else (level, False)
     part, below = 0.0, 1.0
     for corner in range(2**count):
@@ -79,7 +80,7 @@ def _behind_plane(normal, offset, size):  # type: ignore[no-untyped-def]
 
 @njit
 def _beside_plane(tree, centre, size, normal, offset, x):  # type: ignore[no-untyped-def]
-    """Part of a box in the solid less that behind the plane, at the points of a fine lattice."""
+    """Return the fraction in the solid less that behind the plane, at points of a fine lattice."""
     d = len(size)
     count, total = 0, _POINTS**d
     near = _ON * size.max()

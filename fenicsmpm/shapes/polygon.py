@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Solids in the plane from closed polygons."""
+"""2D solids bounded by closed polygons."""
 
 from collections.abc import Sequence
 
@@ -11,18 +11,21 @@ from fenicsmpm.shapes.solid import Solid
 
 
 def polygon(vertices: npt.ArrayLike, holes: Sequence[npt.ArrayLike] = ()) -> Solid:
-    """The region in a simple polygon, less holes.
+    """Return the region inside a simple polygon, without its holes.
 
     The last vertex is joined to the first one, which may be repeated at the end. Either orientation
-    will do.
+    is possible.
 
     Args:
-        vertices: In m, shape (n, 2), at least 3.
-        holes: Polygons of the same kind inside of the first one.
+        vertices: At least 3 vertices in m, shape (n, 2).
+        holes: Polygons inside the first one, of the same form.
+
+    Returns:
+        The solid.
 
     Raises:
-        ValueError: For wrong shapes, sides of no length, sides that cross or touch one another, and
-            holes that are not inside.
+        ValueError: For wrong shapes, sides without length, sides that cross or touch each other,
+            and holes that are not inside.
     """
     rings = [_ring(vertices, 1.0), *(_ring(hole, -1.0) for hole in holes)]
     facets = np.concatenate([np.stack([r, np.roll(r, -1, axis=0)], axis=1) for r in rings])
@@ -39,7 +42,7 @@ def polygon(vertices: npt.ArrayLike, holes: Sequence[npt.ArrayLike] = ()) -> Sol
 
 
 def _ring(vertices: npt.ArrayLike, orientation: float) -> npt.NDArray[np.float64]:
-    """Distinct vertices, counter-clockwise for the orientation 1 and clockwise for -1."""
+    """Return distinct vertices, counter-clockwise for orientation 1 and clockwise for -1."""
     x = np.array(vertices, dtype=np.float64)
     if x.ndim != 2 or x.shape[1] != 2:
         raise ValueError(f"vertices of a polygon need the shape (n, 2), not {x.shape}")
@@ -53,8 +56,7 @@ def _ring(vertices: npt.ArrayLike, orientation: float) -> npt.NDArray[np.float64
     bad = np.flatnonzero(side <= 1e-14 * np.abs(x).max())
     if len(bad):
         raise ValueError(
-            f"side {bad[0]} of the polygon, at {x[bad[0]]}, has no length and no normal: remove "
-            "vertices that are there twice"
+            f"side {bad[0]} of the polygon, at {x[bad[0]]}, has no length: remove repeated vertices"
         )
     y = x - x[0]
     turned = np.sum(y[:, 0] * np.roll(y[:, 1], -1) - y[:, 1] * np.roll(y[:, 0], -1))
@@ -68,7 +70,7 @@ def _turn(a, b, c):  # type: ignore[no-untyped-def]
 
 @njit
 def _first_crossing(facets, following):  # type: ignore[no-untyped-def]
-    """Numbers of two sides with a common point other than that of neighbours, or -1, -1."""
+    """Return the numbers of two sides that touch, other than neighbours at their end, or -1, -1."""
     for i in range(len(facets)):
         a, b = facets[i, 0], facets[i, 1]
         for j in range(i + 1, len(facets)):
@@ -79,7 +81,7 @@ def _first_crossing(facets, following):  # type: ignore[no-untyped-def]
                 continue
             p, q = _turn(a, b, c), _turn(a, b, d)
             if following[i] == j or following[j] == i:
-                # neighbours meet at one end: they must not lie on one another beside it
+                # neighbours meet at one end, and must not overlap beyond it
                 inner = (b[0] - a[0]) * (d[0] - c[0]) + (b[1] - a[1]) * (d[1] - c[1])
                 if p == 0.0 and q == 0.0 and inner < 0.0:
                     return i, j

@@ -16,10 +16,10 @@ _CELLS = {2: 512, 3: 96}  # along the longest side, for integrals over the solid
 
 
 class SignedDistance:
-    """A solid by a function of positions, such as a disc, a torus, or a union of such.
+    """Solid given by a signed distance function, such as a disc, a torus, or a union of these.
 
     Attributes:
-        dim: d, 2 or 3.
+        dim: Dimension d, 2 or 3.
     """
 
     def __init__(
@@ -28,12 +28,12 @@ class SignedDistance:
         lower: npt.ArrayLike,
         upper: npt.ArrayLike,
     ):
-        """Take the function and a box around the solid.
+        """Create a solid from its signed distance and a box around it.
 
         Args:
-            distance: Of positions (3, n) in m, to distances (n,) in m, negative inside.
-            lower: Lowest coordinates of a box that contains the solid in m, shape (d,).
-            upper: Highest coordinates in m, shape (d,).
+            distance: Function from positions (3, n) in m to distances (n,) in m, negative inside.
+            lower: Lowest coordinates in m of a box that contains the solid, shape (d,).
+            upper: Highest coordinates in m of this box, shape (d,).
 
         Raises:
             ValueError: For corners of other shapes, not finite, or in the wrong order.
@@ -43,36 +43,40 @@ class SignedDistance:
         self._upper: Array = np.array(upper, dtype=np.float64)
         corners = np.stack([self._lower, self._upper])
         if self._lower.shape not in ((2,), (3,)) or not np.isfinite(corners).all():
-            raise ValueError(f"corners around a solid are 2 or 3 finite numbers each: {corners}")
+            raise ValueError(f"corners of the box need 2 or 3 finite numbers each: {corners}")
         if not np.all(self._lower < self._upper):
-            raise ValueError(f"corners around a solid in the wrong order: {corners}")
+            raise ValueError(f"corners of the box must be in order, lower below upper: {corners}")
         self.dim = len(self._lower)
 
     def bounds(self) -> tuple[Array, Array]:
-        """Corners of the box that was given, in m, each of shape (d,)."""
+        """Return the corners of the given box in m, each of shape (d,)."""
         return self._lower, self._upper
 
     def distance(self, x: npt.ArrayLike) -> Array:
-        """What the function says of positions (3, n) in m, shape (n,)."""
+        """Return the distance at positions (3, n) in m, shape (n,).
+
+        Args:
+            x: Positions in m, shape (3, n) as in dolfinx.
+        """
         return np.asarray(self._distance(np.asarray(x, dtype=np.float64)), dtype=np.float64)
 
     def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Which positions (3, n) are inside, as a mask of shape (n,)."""
+        """Return which positions (3, n) are inside, as a mask of shape (n,)."""
         return self.distance(x) < 0
 
     @property
     def volume(self) -> float:
-        """In m^d, by cells in which the surface is taken as flat."""
+        """Volume in m^d, by cells in which the surface is approximated by a plane."""
         return self._moments[0]
 
     @property
     def centroid(self) -> Array:
-        """In m, shape (d,)."""
+        """Centroid in m, shape (d,)."""
         return self._moments[1]
 
     @property
     def second_moment(self) -> Array:
-        """Integral of (x - centroid) (x - centroid)^T, shape (d, d), in m^(d + 2)."""
+        """Integral of (x - centroid) (x - centroid)^T in m^(d + 2), shape (d, d)."""
         return self._moments[2]
 
     @functools.cached_property
@@ -96,6 +100,6 @@ class SignedDistance:
         return volume, centroid, (weight[:, None] * r).T @ r
 
     def __repr__(self) -> str:
-        """Name of the function, and the box around the solid."""
+        """Return the name of the function and the box around the solid."""
         name = getattr(self._distance, "__name__", repr(self._distance))
         return f"SignedDistance({name}, {self._lower.tolist()}, {self._upper.tolist()})"

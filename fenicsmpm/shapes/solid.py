@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Solids given by their closed boundary: what is inside, how far is it to the boundary."""
+"""Solids given by their closed boundary."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ import numpy.typing as npt
 
 from fenicsmpm.shapes.tree import Tree, all_distances, all_windings, build
 
-# Part of the size of a solid by which points are beside its facets that show what they bound.
+# Distance, as a fraction of the size of a solid, at which both sides of its facets are tested.
 _BESIDE = 1e-7
 
 
 class Solid:
-    """A region with a closed boundary of straight facets, in the plane or in space.
+    """Region with a closed boundary of straight facets, in 2D or 3D.
 
-    It is a predicate of positions as dolfinx' markers, so it goes wherever ``inside=`` is asked
-    for. Nothing here is collective: each rank has all facets.
+    It is a predicate of positions like dolfinx' markers, so it can be passed wherever ``inside=``
+    is expected. Nothing here is collective: each rank has all facets.
 
     Attributes:
-        dim: d, 2 or 3.
-        facets: Vertices in m, shape (n, d, d): facet, vertex, coordinate. Segments in 2D, triangles
-            in 3D.
-        normals: Outer unit normals of facets, shape (n, d).
-        areas: Areas of facets in m^2, in 2D lengths in m, shape (n,).
-        volume: In m^d.
-        centroid: In m, shape (d,).
-        second_moment: Integral of (x - centroid) (x - centroid)^T over the solid, shape (d, d), in
-            m^(d + 2).
-        tree: For compiled loops, see `fenicsmpm.shapes.tree`.
+        dim: Dimension d, 2 or 3.
+        facets: Vertices in m, shape (n, d, d): facet, vertex, coordinate. Facets are segments in
+            2D, triangles in 3D.
+        normals: Outer unit normals of the facets, shape (n, d).
+        areas: Areas of the facets in m^2, in 2D lengths in m, shape (n,).
+        volume: Volume in m^d.
+        centroid: Centroid in m, shape (d,).
+        second_moment: Integral of (x - centroid) (x - centroid)^T over the solid in m^(d + 2),
+            shape (d, d).
+        tree: Search tree for compiled loops, see `fenicsmpm.shapes.tree`.
     """
 
     def __init__(self, facets: npt.ArrayLike):
-        """Take a closed boundary.
+        """Create a solid from its closed boundary.
 
         Args:
-            facets: Vertices in m, shape (n, d, d), all oriented alike: a boundary that is inside
-                out is turned.
+            facets: Vertices in m, shape (n, d, d), all oriented alike. A boundary whose normals
+                point inwards is reversed.
 
         Raises:
-            ValueError: For wrong shapes, positions that are not finite, facets without area, a
-                boundary that crosses or covers itself, and one that is not closed.
+            ValueError: For wrong shapes, positions that are not finite, facets without area, and a
+                boundary that is not closed, or crosses or covers itself.
         """
         self.facets = np.array(facets, dtype=np.float64, order="C")
         shape = self.facets.shape
@@ -59,7 +59,7 @@ class Solid:
                 f"the boundary is not closed: its area vectors add up to {open_by:.3g} of its area"
             )
         self.volume, self.centroid, self.second_moment = self._moments()
-        if self.volume < 0.0:  # inside out
+        if self.volume < 0.0:  # normals point inwards
             self.facets = np.ascontiguousarray(self.facets[:, ::-1])
             vectors, self.volume, self.second_moment = -vectors, -self.volume, -self.second_moment
         self.normals = vectors / self.areas[:, None]
@@ -67,28 +67,28 @@ class Solid:
         self._check_sides()
 
     def _area_vectors(self) -> npt.NDArray[np.float64]:
-        """Outer normals times areas, (n, d)."""
+        """Return outer normals times areas, (n, d)."""
         edges = self.facets[:, 1:] - self.facets[:, :1]
         if self.dim == 2:
             return np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
         return 0.5 * np.cross(edges[:, 0], edges[:, 1])
 
     def _check_areas(self) -> None:
-        """Raise for facets without a normal."""
+        """Raise an error for facets without a normal."""
         edges = self.facets - np.roll(self.facets, 1, axis=1)
         longest = np.linalg.norm(edges, axis=2).max(axis=1)
         size = np.abs(self.facets).max()
         flat = self.areas <= np.maximum(1e-12 * longest, 1e-15 * size) * longest ** (self.dim - 2)
         bad = np.flatnonzero(flat)
         if len(bad):
-            what = "sides of no length" if self.dim == 2 else "triangles of no area"
+            what = "sides without length" if self.dim == 2 else "triangles without area"
             raise ValueError(
-                f"{len(bad)} of {len(flat)} facets are {what} and have no normal, first number "
-                f"{bad[0]} at {self.facets[bad[0], 0]}: remove them"
+                f"{len(bad)} of {len(flat)} facets are {what}, first number {bad[0]} at "
+                f"{self.facets[bad[0], 0]}: remove them"
             )
 
     def _moments(self) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Volume, centroid and second moment by simplices from the facets to one point."""
+        """Return volume, centroid and second moment, by simplices from the facets to one point."""
         d = self.dim
         lower, upper = self.bounds()
         start = 0.5 * (lower + upper)
@@ -96,7 +96,7 @@ class Solid:
         parts = np.linalg.det(v) / (2.0 if d == 2 else 6.0)
         volume = float(parts.sum())
         if not abs(volume) > 1e-12 * np.prod(upper - lower):
-            raise ValueError(f"the boundary encloses nothing: volume {volume:.3g}")
+            raise ValueError(f"the boundary must enclose a volume, but its volume is {volume:.3g}")
         s = v.sum(axis=1)
         centroid = np.einsum("n,ni->i", parts, s) / ((d + 1) * volume)
         square = np.einsum("n,nai,naj->ij", parts, v, v) + np.einsum("n,ni,nj->ij", parts, s, s)
@@ -104,11 +104,11 @@ class Solid:
         return volume, start + centroid, second
 
     def _check_sides(self) -> None:
-        """Raise unless each facet has the solid behind it and nothing in front, at its centre."""
+        """Raise an error unless each facet has the solid behind it and nothing in front of it."""
         lower, upper = self.bounds()
         step = _BESIDE * float(np.linalg.norm(upper - lower))
         edges = np.linalg.norm(self.facets - np.roll(self.facets, 1, axis=1), axis=2)
-        # beside slivers one may be on the other side of a neighbour
+        # Beside a sliver, such a point may lie on the other side of a neighbouring facet.
         which = np.flatnonzero(self.areas > 10.0 * step * edges.max(axis=1) ** (self.dim - 2))
         centre, offset = self.facets[which].mean(axis=1), step * self.normals[which]
         behind, before = (all_windings(self.tree, centre + s * offset) for s in (-1, 1))
@@ -122,15 +122,15 @@ class Solid:
 
     @property
     def area(self) -> float:
-        """Of the whole boundary, in m^(d-1)."""
+        """Area of the whole boundary in m^(d-1)."""
         return float(self.areas.sum())
 
     def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Lowest and highest coordinates in m, each of shape (d,)."""
+        """Return the lowest and highest coordinates in m, each of shape (d,)."""
         return self.facets.min(axis=(0, 1)), self.facets.max(axis=(0, 1))
 
     def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Which positions are inside.
+        """Return which positions are inside.
 
         Args:
             x: Positions in m, shape (3, n) as in dolfinx; in 2D also (2, n).
@@ -142,7 +142,7 @@ class Solid:
         return inside
 
     def distance(self, x: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Signed distance from the boundary in m, negative inside, shape (n,).
+        """Return the signed distance from the boundary in m, negative inside, shape (n,).
 
         Args:
             x: Positions as in `__call__`.
@@ -152,10 +152,10 @@ class Solid:
     def distance_and_gradient(
         self, x: npt.ArrayLike
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Signed distance in m, shape (n,), and its gradient, shape (d, n).
+        """Return the signed distance in m, shape (n,), and its gradient, shape (d, n).
 
-        The gradient is a unit vector. Where several points of the boundary are closest, it is that
-        of one of them, on the boundary it is the outer normal of a facet.
+        The gradient is a unit vector. If several points of the boundary are closest, it belongs to
+        one of them. On the boundary it is the outer normal of a facet.
 
         Args:
             x: Positions as in `__call__`.
@@ -178,12 +178,12 @@ class Solid:
         translation: npt.ArrayLike = 0.0,
         rotation: npt.ArrayLike | None = None,
     ) -> Solid:
-        """The solid scaled, then turned, then moved: R (scale x) + translation.
+        """Return the solid scaled, then rotated, then translated: R (scale x) + translation.
 
         Args:
             scale: Positive factor, such as 1e-3 for a file in mm.
-            translation: In m, one number or shape (d,).
-            rotation: Orthogonal matrix R, shape (d, d); None for no rotation.
+            translation: Translation in m, one number or shape (d,).
+            rotation: Rotation matrix R, shape (d, d); None for no rotation.
 
         Raises:
             ValueError: For a scale that is not positive, or a matrix that is no rotation.
@@ -194,14 +194,16 @@ class Solid:
         if R.shape != (self.dim, self.dim) or not (
             np.allclose(R @ R.T, np.eye(self.dim), atol=1e-9) and np.linalg.det(R) > 0
         ):
-            raise ValueError(f"not a rotation of {self.dim} dimensions: {R.tolist()}")
+            raise ValueError(
+                f"a rotation of {self.dim} dimensions needs an orthogonal matrix, not {R.tolist()}"
+            )
         shift = np.asarray(translation, dtype=np.float64)
         if shift.shape not in ((), (self.dim,)):
             raise ValueError(f"a translation needs {self.dim} components, not {shift}")
         return Solid(scale * self.facets @ R.T + shift)
 
     def __repr__(self) -> str:
-        """Size and place."""
+        """Return size and bounds as text."""
         lower, upper = self.bounds()
         what = "sides" if self.dim == 2 else "triangles"
         return (

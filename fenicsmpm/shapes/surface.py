@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Solids in space from closed triangulated surfaces."""
+"""3D solids bounded by closed triangulated surfaces."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fenicsmpm.shapes.solid import Solid
 
 
 class OpenSurfaceError(ValueError):
-    """A surface that encloses nothing, as it has holes.
+    """Error for a surface with holes, which encloses nothing.
 
     Attributes:
         free_edges: Number of edges with a triangle on one side only.
-        length: Their total length in m.
-        solid_angle: Part of all directions, 0 to 0.5, that is missing as seen from the centroid of
-            the surface: its winding number there less the closest integer.
-        position: Middle of the first free edge in m, shape (3,).
+        length: Total length of these edges in m.
+        solid_angle: Fraction of all directions, 0 to 0.5, that is missing as seen from the centroid
+            of the surface: the distance of its winding number there from the closest integer.
+        position: Midpoint of the first free edge in m, shape (3,).
     """
 
     def __init__(
         self, free_edges: int, length: float, solid_angle: float, position: npt.NDArray[np.float64]
     ):
-        """Say what is open."""
+        """Compose the message from the attributes."""
         self.free_edges, self.length = free_edges, length
         self.solid_angle, self.position = solid_angle, position
         super().__init__(
@@ -36,33 +36,36 @@ class OpenSurfaceError(ValueError):
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Other ranks raise the same."""
+        """Return what pickle needs to recreate the error on another rank."""
         return type(self), (self.free_edges, self.length, self.solid_angle, self.position)
 
 
 def surface(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Solid:
-    """The region in a closed surface of triangles.
+    """Return the region inside a closed surface of triangles.
 
-    It may have several parts and cavities. The triangles must all be oriented alike; either way
-    will do.
+    The surface may have several parts and cavities. All triangles must be oriented alike, either
+    outwards or inwards.
 
     Args:
-        vertices: In m, shape (m, 3).
-        triangles: Numbers of their vertices, shape (n, 3). Triangles share vertices, not only
-            positions.
+        vertices: Vertices in m, shape (m, 3).
+        triangles: Numbers of their vertices, shape (n, 3). Neighbouring triangles must share
+            vertex numbers, not only positions.
+
+    Returns:
+        The solid.
 
     Raises:
         OpenSurfaceError: If some edges have a triangle on one side only.
-        ValueError: For wrong shapes or numbers, triangles of no area, neighbours that are oriented
-            differently, and a surface that crosses or covers itself.
+        ValueError: For wrong shapes or numbers, triangles without area, neighbours of different
+            orientation, and a surface that crosses or covers itself.
     """
     x, t = np.asarray(vertices, dtype=np.float64), np.asarray(triangles)
     if x.ndim != 2 or x.shape[1] != 3:
         raise ValueError(f"vertices of a surface need the shape (m, 3), not {x.shape}")
     if t.ndim != 2 or t.shape[1] != 3 or not np.issubdtype(t.dtype, np.integer):
-        raise ValueError(f"triangles need integers of the shape (n, 3), not {t.dtype} {t.shape}")
+        raise ValueError(f"triangles need integers of shape (n, 3), not {t.dtype} of {t.shape}")
     if not len(t):
-        raise ValueError("a surface without triangles")
+        raise ValueError("a surface needs triangles, but none were given")
     if t.min() < 0 or t.max() >= len(x):
         raise ValueError(
             f"numbers of vertices must be 0 to {len(x) - 1}, not {t.min()} to {t.max()}"
@@ -72,7 +75,7 @@ def surface(vertices: npt.ArrayLike, triangles: npt.ArrayLike) -> Solid:
 
 
 def _check_edges(x: npt.NDArray[np.float64], t: npt.NDArray[np.int64]) -> None:
-    """Raise unless each edge is run through as often in one direction as in the other."""
+    """Raise an error unless each edge is traversed equally often in both directions."""
     edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
     direction = np.where(edges[:, 0] < edges[:, 1], 1, -1)
     pairs, which = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
@@ -89,7 +92,7 @@ def _check_edges(x: npt.NDArray[np.float64], t: npt.NDArray[np.int64]) -> None:
     bad = np.flatnonzero(balance)
     if len(bad):
         raise ValueError(
-            f"triangles are not oriented alike: neighbours run through {len(bad)} of {len(pairs)} "
+            f"triangles are not oriented alike: neighbours traverse {len(bad)} of {len(pairs)} "
             f"edges in the same direction, first at {ends[bad[0]].mean(axis=0)}; orient them, for "
             "example with pyvista's compute_normals(consistent_normals=True, "
             "auto_orient_normals=True)"
@@ -97,7 +100,7 @@ def _check_edges(x: npt.NDArray[np.float64], t: npt.NDArray[np.int64]) -> None:
 
 
 def _solid_angle(facets: npt.NDArray[np.float64]) -> float:
-    """Of triangles (n, 3, 3), seen from the centroid of their surface.
+    """Return the solid angle of triangles (n, 3, 3), seen from the centroid of their surface.
 
     A. van Oosterom and J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125-126, eq. 8.
     """

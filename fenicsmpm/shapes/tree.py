@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""A tree of boxes around facets, and what one asks it: which facet is closest, what is around it.
+"""Tree of boxes around facets: closest facet, winding number and signed distance of a point.
 
 Facets are the oriented straight pieces of a closed boundary: segments in 2D, triangles in 3D. They
-are an array (n, d, d): facet, vertex, coordinate. Their normals point out of the solid: segments
-have it to their left, triangles turn counter-clockwise as seen from outside.
+form an array (n, d, d): facet, vertex, coordinate. Their normals point out of the solid: it lies to
+the left of a segment, and triangles are counter-clockwise as seen from outside.
 
-All functions below `build` are compiled, take one point (d,), and may be called in other loops.
+All functions below `build` are compiled for use in other loops. They take one point (d,).
 """
 
 from typing import NamedTuple
@@ -16,24 +16,24 @@ import numpy.typing as npt
 
 from fenicsmpm._njit import njit
 
-# Facets in a leaf
+# Number of facets in a leaf
 _LEAF = 4
-# More levels than a balanced tree over all facets that fit into memory has
+# More levels than a balanced tree needs for as many facets as fit into memory
 _DEPTH = 64
 
 
 class Tree(NamedTuple):
-    """Arrays of a balanced binary tree; node 0 is its root.
+    """Arrays of a balanced binary tree with node 0 as root.
 
     Attributes:
         lower: Lower corners of the nodes' boxes in m, shape (m, d).
         upper: Upper corners in m, shape (m, d).
-        begin: First facet of each node, (m,).
-        end: One past its last facet, (m,).
-        right: The second child; the first one is the next node. 0 in leaves. (m,)
-        facets: Vertices of facets in the order of the tree in m, (n, d, d).
-        normals: Their outer unit normals, (n, d).
-        order: Which facet of the input each one is, (n,).
+        begin: First facet of each node, shape (m,).
+        end: One past the last facet of each node, shape (m,).
+        right: Second child of each node, 0 in leaves, shape (m,). The first child is the next node.
+        facets: Vertices of the facets in m, in the order of the tree, shape (n, d, d).
+        normals: Outer unit normals of the facets, shape (n, d).
+        order: Number of each facet in the input, shape (n,).
     """
 
     lower: npt.NDArray[np.float64]
@@ -47,7 +47,7 @@ class Tree(NamedTuple):
 
 
 def build(facets: npt.NDArray[np.float64], normals: npt.NDArray[np.float64]) -> Tree:
-    """The tree over facets (n, d, d) in m with outer unit normals (n, d)."""
+    """Build the tree over facets (n, d, d) in m with outer unit normals (n, d)."""
     order, begin, end, right = _split(facets.sum(axis=1) / facets.shape[1])
     facets, normals = facets[order], normals[order]
     lower, upper = _bound(facets.min(axis=1), facets.max(axis=1), begin, end, right)
@@ -61,7 +61,7 @@ def _split(centre):  # type: ignore[no-untyped-def]
     order = np.arange(n)
     most = 4 * n // _LEAF + 3
     begin, end, right = np.zeros((3, most), dtype=np.int64)
-    # what is to be split: first facet, one past the last, the parent whose second child it is
+    # sets to be split: first facet, one past the last, parent of which the set is the second child
     stack = np.zeros((_DEPTH, 3), dtype=np.int64)
     stack[0, 1], stack[0, 2] = n, -1
     height, node = 1, 0
@@ -89,7 +89,7 @@ def _split(centre):  # type: ignore[no-untyped-def]
 
 @njit
 def _bound(lowest, highest, begin, end, right):  # type: ignore[no-untyped-def]
-    """Boxes of nodes from those of facets; children have higher numbers than parents."""
+    """Compute boxes of nodes from those of facets; children have higher numbers than parents."""
     m, d = len(begin), lowest.shape[1]
     lower, upper = np.empty((m, d)), np.empty((m, d))
     for node in range(m - 1, -1, -1):
@@ -114,7 +114,7 @@ def _squared_to_box(lower, upper, x):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def _on_segment(facet, x, result):  # type: ignore[no-untyped-def]
-    """Closest point of a segment, and the squared distance."""
+    """Find the closest point of a segment, and return the squared distance."""
     dx, dy = facet[1, 0] - facet[0, 0], facet[1, 1] - facet[0, 1]
     t = (x[0] - facet[0, 0]) * dx + (x[1] - facet[0, 1]) * dy
     t = min(max(t / (dx * dx + dy * dy), 0.0), 1.0)
@@ -135,7 +135,7 @@ def _difference(a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def _weights_in_triangle(facet, x):  # type: ignore[no-untyped-def]
-    """Weights of the second and third vertex in the closest point of a triangle.
+    """Return the weights of the second and third vertex in the closest point of a triangle.
 
     C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5.
     """
@@ -168,7 +168,7 @@ def _weights_in_triangle(facet, x):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def _on_triangle(facet, x, result):  # type: ignore[no-untyped-def]
-    """Closest point of a triangle, and the squared distance."""
+    """Find the closest point of a triangle, and return the squared distance."""
     v, w = _weights_in_triangle(facet, x)
     total = 0.0
     for k in range(3):
@@ -183,12 +183,12 @@ def closest(tree, x, radius, result):  # type: ignore[no-untyped-def]
 
     Args:
         tree: The `Tree`.
-        x: Position in m, (d,).
-        radius: How far to look in m, may be infinite; a small one makes it faster.
-        result: Is filled with the closest point in m, (d,).
+        x: Position in m, shape (d,).
+        radius: Largest distance in m, may be infinite. A small radius makes the search faster.
+        result: Output: the closest point in m, shape (d,).
 
     Returns:
-        The facet, by its number in the tree; -1 if none is closer than the radius.
+        Number of the facet in the tree, -1 if none is closer than the radius.
     """
     d = len(x)
     stack = np.empty(_DEPTH, dtype=np.int64)
@@ -225,15 +225,15 @@ def closest(tree, x, radius, result):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def _crosses(a, b, x):  # type: ignore[no-untyped-def]
-    """How the line from a to b crosses the ray from x in the first direction, in a plane.
+    """Return how the line from a to b crosses the ray from x in the first direction, in a plane.
 
-    1 upwards, -1 downwards, 0 not at all. The reversed line crosses it the other way, whatever the
-    round-off, and a line that ends on the ray crosses it or the next line does: lines of a closed
-    polygon give its winding number.
+    The result is 1 for upwards, -1 for downwards, 0 for no crossing. The reversed line has the
+    opposite sign in spite of round-off. If a line ends on the ray, either this line or the next one
+    crosses it. The lines of a closed polygon therefore add up to its winding number.
     """
     if (a[1] <= x[1]) == (b[1] <= x[1]):
         return 0
-    # the same numbers for both directions of the line
+    # use the same numbers for both directions of the line
     low, high = (a, b) if a[1] <= b[1] else (b, a)
     left = (high[0] - low[0]) * (x[1] - low[1]) - (x[0] - low[0]) * (high[1] - low[1])
     if left <= 0.0:
@@ -243,7 +243,7 @@ def _crosses(a, b, x):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def _above(facet, x):  # type: ignore[no-untyped-def]
-    """How a triangle crosses the ray from x in the third direction: 1 outwards, -1, or 0."""
+    """Return how a triangle crosses the ray from x in the third direction: 1 outwards, -1, or 0."""
     a, b, c = facet[0], facet[1], facet[2]
     turns = _crosses(a, b, x) + _crosses(b, c, x) + _crosses(c, a, x)
     if turns == 0:
@@ -255,10 +255,10 @@ def _above(facet, x):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def winding(tree, x):  # type: ignore[no-untyped-def]
-    """How often the boundary goes around x: 1 in the solid, 0 outside of it.
+    """Return how often the boundary winds around x: 1 in the solid, 0 outside.
 
-    Crossings of a ray are counted. A point on the boundary is in or out, so that two solids with a
-    common facet never both have it.
+    The function counts crossings of a ray. A point on the boundary is either in or out, such that
+    of two solids with a common facet never both contain it.
     """
     d = len(x)
     ray = 0 if d == 2 else 2
@@ -288,13 +288,13 @@ def winding(tree, x):  # type: ignore[no-untyped-def]
 
 @numba.njit
 def signed_distance(tree, x, gradient):  # type: ignore[no-untyped-def]
-    """Distance of x from the boundary in m, negative in the solid, and its gradient.
+    """Return the signed distance of x from the boundary in m, negative in the solid.
 
     Args:
         tree: The `Tree`.
-        x: Position in m, (d,).
-        gradient: Is filled with the gradient (d,), a unit vector that points outwards: on the
-            boundary the normal of a facet.
+        x: Position in m, shape (d,).
+        gradient: Output: the gradient of the distance, shape (d,). It is a unit vector that points
+            outwards, and the normal of a facet on the boundary.
     """
     d = len(x)
     facet = closest(tree, x, np.inf, gradient)
@@ -313,7 +313,7 @@ def signed_distance(tree, x, gradient):  # type: ignore[no-untyped-def]
 
 @njit
 def all_windings(tree, x):  # type: ignore[no-untyped-def]
-    """`winding` at points x (n, d), an array (n,)."""
+    """Return `winding` at points x (n, d), shape (n,)."""
     result = np.empty(len(x), dtype=np.int64)
     for i in range(len(x)):
         result[i] = winding(tree, x[i])
@@ -322,7 +322,7 @@ def all_windings(tree, x):  # type: ignore[no-untyped-def]
 
 @njit
 def all_near(tree, x, radius):  # type: ignore[no-untyped-def]
-    """Whether the boundary is closer than a radius to points x (n, d), an array (n,)."""
+    """Return whether the boundary is closer than a radius to points x (n, d), shape (n,)."""
     result, found = np.empty(len(x), dtype=np.bool_), np.empty(x.shape[1])
     for i in range(len(x)):
         result[i] = closest(tree, x[i], radius, found) >= 0
@@ -331,7 +331,7 @@ def all_near(tree, x, radius):  # type: ignore[no-untyped-def]
 
 @njit
 def all_distances(tree, x):  # type: ignore[no-untyped-def]
-    """`signed_distance` and gradients at points x (n, d), arrays (n,) and (n, d)."""
+    """Return `signed_distance` and gradients at points x (n, d), shapes (n,) and (n, d)."""
     result, gradients = np.empty(len(x)), np.empty(x.shape)
     for i in range(len(x)):
         result[i] = signed_distance(tree, x[i], gradients[i])

@@ -15,21 +15,24 @@ import numpy.typing as npt
 from fenicsmpm.shapes.solid import Solid
 from fenicsmpm.shapes.surface import surface
 
-# Values are moved away from the level by this part of their range, as it makes no slivers then.
+# Values this close to the level, as a fraction of their range, are moved away to avoid slivers.
 _FROM_LEVEL = 1e-3
 
 
 def mask(
     values: npt.ArrayLike, spacing: float | npt.ArrayLike = 1.0, origin: npt.ArrayLike = 0.0
 ) -> Solid:
-    """The union of pixels or voxels; its boundary goes along their sides.
+    """Return the union of pixels or voxels. Its boundary follows their sides.
 
-    Its volume is exact. The area is that of stairs: see `contour` for a smooth boundary.
+    The volume is exact. The area is that of a staircase; `contour` makes a smooth boundary.
 
     Args:
         values: True in the solid, shape (nx, ny) or (nx, ny, nz).
-        spacing: Sizes of a voxel in m, one number or shape (d,).
+        spacing: Size of a voxel in m, one number or shape (d,).
         origin: Lower corner of the first voxel in m, one number or shape (d,).
+
+    Returns:
+        The solid.
 
     Raises:
         ValueError: For other shapes, values that are not bool, a mask that is false everywhere, and
@@ -38,20 +41,20 @@ def mask(
     given = np.asarray(values)
     if given.ndim not in (2, 3) or given.dtype != bool:
         raise ValueError(
-            f"a mask needs bool values of the shape (nx, ny) or (nx, ny, nz), not {given.dtype} of "
-            f"the shape {given.shape}: compare an image with a level, as in image > 0.5"
+            f"a mask needs bool values of shape (nx, ny) or (nx, ny, nz), not {given.dtype} of "
+            f"shape {given.shape}: compare an image with a level, as in image > 0.5"
         )
     size, start = _checked(given.ndim, spacing, origin)
     if not given.any():
-        raise ValueError(f"a mask of the shape {given.shape} that is false everywhere")
+        raise ValueError(f"a mask must be true somewhere, but all {given.shape} values are false")
     d = given.ndim
     padded = np.pad(given, 1).astype(np.int8)
-    # corners of a side with the normal in the direction 0, counter-clockwise as seen from there
+    # corners of a side whose normal is direction 0, counter-clockwise as seen from outside
     corners = np.array([[0], [1]] if d == 2 else [[0, 0], [1, 0], [1, 1], [0, 1]])
     pieces = [[0, 1]] if d == 2 else [[0, 1, 2], [0, 2, 3]]
     facets = []
     for axis, sign in itertools.product(range(d), (1, -1)):
-        # voxel i of the image is i + 1 here, so a step from i to i + 1 is at the place i
+        # voxel i of the image has the index i + 1 here, so a step from i to i + 1 is at position i
         steps = np.diff(padded, axis=axis) == -sign
         place = np.stack(np.nonzero(steps), axis=1) - 1
         place[:, axis] += 1
@@ -70,24 +73,27 @@ def contour(
     spacing: float | npt.ArrayLike = 1.0,
     origin: npt.ArrayLike = 0.0,
 ) -> Solid:
-    """The region in which gray values are above a level, with an interpolated boundary.
+    """Return the region where gray values are above a level, with an interpolated boundary.
 
-    Values are those at centres of voxels and vary linearly between them: marching squares in 2D, by
-    contourpy, and marching cubes in 3D, by VTK (pyvista). Outside of the image they are the lowest
-    value. Its normals and area converge for smooth images; blur a mask before, for example with
-    scipy.ndimage.gaussian_filter.
+    Values belong to the centres of voxels and vary linearly between them. The boundary comes from
+    marching squares in 2D (contourpy) and marching cubes in 3D (VTK by pyvista). Outside of the
+    image the lowest value is assumed. Normals and area converge for smooth images. A mask should be
+    blurred first, for example with scipy.ndimage.gaussian_filter.
 
     Args:
         values: Gray values, shape (nx, ny) or (nx, ny, nz).
-        level: Between the lowest and highest value. Values at a distance below a thousandth of
-            their range from it are moved.
-        spacing: Sizes of a voxel in m, one number or shape (d,).
+        level: Level between the lowest and the highest value. Values closer to it than a
+            thousandth of their range are moved away from it.
+        spacing: Size of a voxel in m, one number or shape (d,).
         origin: Lower corner of the first voxel in m, one number or shape (d,).
+
+    Returns:
+        The solid.
 
     Raises:
         ValueError: For other shapes, values that are not finite, a level out of their range, and a
             spacing that is not positive.
-        ImportError: In 3D without pyvista.
+        ImportError: In 3D, if pyvista is not installed.
     """
     given = np.asarray(values, dtype=np.float64)
     if given.ndim not in (2, 3):
@@ -96,20 +102,20 @@ def contour(
     lowest, highest = given.min(initial=np.inf), given.max(initial=-np.inf)
     if not np.isfinite(given).all() or not lowest < level < highest:
         raise ValueError(
-            f"the level {level} must be between the finite values of an image, which are {lowest} "
-            f"to {highest}"
+            f"the level {level} must lie between the finite values of the image, from {lowest} to "
+            f"{highest}"
         )
     padded = np.pad(given, 1, constant_values=lowest) - level
     least = _FROM_LEVEL * (highest - lowest)
     padded = np.where(np.abs(padded) < least, np.where(padded < 0.0, -least, least), padded)
-    first = start - 0.5 * size  # centre of the first voxel that was added
+    first = start - 0.5 * size  # centre of the first added voxel
     return Solid(_lines(padded) * size + first) if given.ndim == 2 else _level(padded, size, first)
 
 
 def _checked(
     d: int, spacing: float | npt.ArrayLike, origin: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Spacing and origin as arrays (d,)."""
+    """Return spacing and origin as arrays (d,)."""
     size, start = (np.asarray(each, dtype=np.float64) for each in (spacing, origin))
     if size.shape not in ((), (d,)) or start.shape not in ((), (d,)):
         raise ValueError(
@@ -121,7 +127,7 @@ def _checked(
 
 
 def _lines(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Segments (n, 2, 2) of the level 0, in units of pixels."""
+    """Return the segments (n, 2, 2) of level 0, in units of pixels."""
     from contourpy import LineType, contour_generator
 
     # contourpy has the second coordinate first
@@ -133,7 +139,7 @@ def _lines(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def _level(
     values: npt.NDArray[np.float64], size: npt.NDArray[np.float64], first: npt.NDArray[np.float64]
 ) -> Solid:
-    """The level 0 in space."""
+    """Return the solid bounded by level 0 in 3D."""
     import pyvista
 
     grid = pyvista.ImageData(dimensions=values.shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The time loops, and what observes them."""
+"""Time loops and their observers."""
 
 from fenicsmpm.simulation.audit import Audit, Balance, StepAudit
 from fenicsmpm.simulation.contact import Contact

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Audit of steps: where momentum and kinetic energy come from and where they go."""
+"""Audit of steps: changes of momentum and kinetic energy in each stage."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ class Balance:
     """Momenta and kinetic energy of points, or of a grid.
 
     Attributes:
-        momentum: linear momentum [kg m/s], ``(d,)``.
-        angular_momentum: about the origin [kg m^2/s], a number in the plane, ``(3,)`` in space.
-        kinetic_energy: [J].
+        momentum: Linear momentum in kg m/s, ``(d,)``.
+        angular_momentum: Angular momentum about the origin in kg m^2/s: a number in 2D, ``(3,)``
+            in 3D.
+        kinetic_energy: Kinetic energy in J.
     """
 
     momentum: Array
@@ -37,7 +38,7 @@ class Balance:
     kinetic_energy: float
 
     def __sub__(self, other: Balance) -> Balance:
-        """What was gained since another balance."""
+        """Return the gain since another balance."""
         return Balance(
             self.momentum - other.momentum,
             self.angular_momentum - other.angular_momentum,
@@ -50,10 +51,10 @@ class StepAudit:
     """Balances around the stages of a step (conservation paper, tables 1 and 2).
 
     Attributes:
-        points_before: of the points before the step.
-        grid_before: of the grid after velocities were mapped to it.
-        grid_after: of the grid after the solution, at the nodes' new positions.
-        points_after: of the points after the step.
+        points_before: Balance of the points before the step.
+        grid_before: Balance of the grid after velocities were mapped to it.
+        grid_after: Balance of the grid after the solution, at the nodes' new positions.
+        points_after: Balance of the points after the step.
     """
 
     points_before: Balance
@@ -63,7 +64,7 @@ class StepAudit:
 
     @property
     def changes(self) -> dict[str, Balance]:
-        """What each stage changed, and the whole step."""
+        """Return the changes in each stage, and in the whole step."""
         return {
             "map to the grid": self.grid_before - self.points_before,
             "solve": self.grid_after - self.grid_before,
@@ -72,7 +73,7 @@ class StepAudit:
         }
 
     def __str__(self) -> str:
-        """A table with a line for each stage."""
+        """Return a table with a line for each stage."""
         lines = [f"{'change by':<20}{'momentum':>12}{'angular':>12}{'kinetic energy':>16}"]
         for stage, change in self.changes.items():
             lines.append(
@@ -83,25 +84,29 @@ class StepAudit:
 
 
 class Audit(Observer):
-    """Keeps a balance of each step of a loop, as ``observers=[audit]``.
+    """Balances of each step of a loop, as ``observers=[audit]``.
 
-    Of explicit steps, the grid before is that of the step's own momenta. Where a loop yields blocks
-    of them, the points' balances are those around the block.
+    In explicit steps, ``grid_before`` is the balance of the step's own momenta. If a loop yields
+    blocks of steps, the balances of the points are those before and after the block.
 
     Attributes:
-        last: balances of the last step.
+        last: Balances of the last step.
     """
 
     last: StepAudit
 
     def start(self, sim: Any) -> None:
-        """Compile the mass of the grid, too (collective)."""
+        """Compile the mass of the grid. Collective.
+
+        Args:
+            sim: The simulation.
+        """
         self._found: dict[str, Balance] = {}
         self._mass = PETSc.Mat()
         if isinstance(sim, ExplicitMPM):
             return
         if len(sim.schemes) > 1:
-            raise ValueError("an audit is of one unknown, not of coupled ones: there are no sums")
+            raise ValueError("an audit needs a single unknown: it does not add up coupled ones")
         space = sim.scheme.histories["v"].function_space
         self._effective = EffectiveProjection(sim.bodies, space, sim.scheme.lumping)
         points = _compat.interpolation_points(space)
@@ -111,17 +116,29 @@ class Audit(Observer):
         )
 
     def begin(self, sim: Any) -> None:
-        """Take the balance of the points."""
+        """Store the balance of the points.
+
+        Args:
+            sim: The simulation.
+        """
         self._found = {"points_before": _of_points(sim)}
 
     def mapped(self, sim: Any) -> None:
-        """Take the balance of the grid with the mapped velocities."""
+        """Store the balance of the grid with the mapped velocities.
+
+        Args:
+            sim: The simulation.
+        """
         self._mass.destroy()  # of a step that failed
         self._mass = self._effective.mass()
         self._found["grid_before"] = self._of_grid(sim.scheme.histories["v"], None)
 
     def solved(self, sim: Any) -> None:
-        """Take the balance of the grid with the new velocities, at the nodes' new positions."""
+        """Store the balance of the grid with the new velocities, at the nodes' new positions.
+
+        Args:
+            sim: The simulation.
+        """
         velocity, motion = (fem.Function(self._effective.space) for _ in range(2))
         velocity.interpolate(self._nodal_velocity)
         motion.interpolate(self._nodal_motion)
@@ -129,7 +146,12 @@ class Audit(Observer):
         self._mass.destroy()
 
     def done(self, sim: Any, step: Step) -> None:
-        """Complete the balances of the step."""
+        """Complete the balances of the step.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if isinstance(sim, ExplicitMPM):
             mass, dim = sim.mass().x.array, sim.velocity.function_space.mesh.geometry.dim
             v, a = (f.x.array.reshape(-1, dim) for f in (sim.velocity, sim.acceleration()))
@@ -168,7 +190,7 @@ def _of_points(sim: Any) -> Balance:
 
 
 def _balance(comm: Any, x: Array, v: Array, p: Array) -> Balance:
-    """Of the owned nodes of all ranks, by positions, velocities and momenta."""
+    """Return the balance of owned nodes on all ranks from positions, velocities and momenta."""
     return Balance(
         comm.allreduce(p.sum(axis=0)),
         comm.allreduce(moment(x, p)),

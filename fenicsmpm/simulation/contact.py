@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact between bodies of explicit steps, and which of them share nodal velocities."""
+"""Contact between bodies in explicit steps, and groups of bodies that share nodal velocities."""
 
 from __future__ import annotations
 
@@ -18,29 +18,32 @@ _BOTH = 1.75
 
 
 class Contact:
-    """Two bodies that touch, slide and part in explicit steps, instead of sticking to each other.
+    """Contact of two bodies in explicit steps: they touch, slide and separate instead of sticking.
 
-    Each has nodal velocities of its own. They feel each other as soon as the domains of their
-    points meet: they are pushed apart in proportion to their overlap, never pulled, and Coulomb's
-    friction acts against slip. They stick to each other while less than this is needed for it.
+    Each of them has nodal velocities of its own. They interact when the domains of their points
+    meet: they are pushed apart in proportion to their overlap, and never pulled together. Coulomb
+    friction acts against slip. The bodies stick as long as that needs less than the limit of
+    friction.
 
     Args:
-        first: a body.
-        second: another one.
-        friction: Coulomb's coefficient; infinite for no slip while they are pressed together.
-        stiffness: of the contact at a node, in units of the reduced mass of both bodies there over
-            the square of the time that a wave takes through a cell. It is lowered if the step is
-            too long for it: with the default, a contact is about as stiff as a layer of the bodies
-            that is 0.7 cells thick, and ``cfl`` may be up to 0.4.
+        first: A body.
+        second: Another body.
+        friction: Coulomb's friction coefficient; infinite for no slip while bodies are pressed
+            together.
+        stiffness: Stiffness of the contact at a node, in units of the reduced mass of both bodies
+            there over the square of the time that a wave takes through a cell. It is lowered if
+            the step is too long for it. With the default, a contact is about as stiff as a layer
+            of the bodies that is 0.7 cells thick, and ``cfl`` may be up to 0.4.
 
     Attributes:
-        force: on the second body in the last step, ``(d,)`` [N]; the first one gets the opposite.
-        gap: smallest one at a node where both bodies were in the last step [m], from the positions
-            at its beginning; negative if they overlapped, infinite if there is no such node.
+        force: Force on the second body in the last step in N, ``(d,)``; that on the first body is
+            opposite.
+        gap: Smallest gap in m at a node that both bodies reached in the last step, from the
+            positions at its beginning; negative for an overlap, infinite without such a node.
 
     Raises:
-        ValueError: for a friction that is negative or no number, a stiffness that is not positive,
-            and for a body with itself.
+        ValueError: For a friction that is negative or NaN, a stiffness that is not positive and
+            finite, and for a contact of a body with itself.
     """
 
     def __init__(
@@ -50,35 +53,36 @@ class Contact:
         friction: float = 0.0,
         stiffness: float = 6.0,
     ) -> None:
-        """Check."""
+        """Check the input."""
         if first is second:
-            raise ValueError("a contact of a body with itself: points of one body share velocities")
+            raise ValueError("a body cannot touch itself: its points share velocities")
         if not friction >= 0:
-            raise ValueError(f"friction must be a number that is not negative: {friction}")
+            raise ValueError(f"friction must be a number that is not negative, not {friction}")
         if not 0 < stiffness < np.inf:
-            raise ValueError(f"stiffness must be positive and finite: {stiffness}")
+            raise ValueError(f"stiffness must be positive and finite, not {stiffness}")
         self.first, self.second = first, second
         self.friction, self.stiffness = float(friction), float(stiffness)
         self.force: npt.NDArray[np.float64] = np.zeros(first.mesh.geometry.dim)
         self.gap = np.inf
 
     def __repr__(self) -> str:
-        """Friction, last force and gap."""
+        """Return friction, last force and gap as text."""
         return f"Contact(friction={self.friction:g}; force {self.force} N, gap {self.gap:g} m)"
 
 
 def share_velocities(
     bodies: Sequence[MaterialPoints], contacts: Sequence[Contact]
 ) -> list[list[MaterialPoints]]:
-    """Groups of bodies that share nodal velocities: those without a contact between them.
+    """Return groups of bodies that share nodal velocities: those without a contact between them.
 
     Args:
-        bodies: of the simulation.
-        contacts: between them.
+        bodies: Bodies of the simulation.
+        contacts: Contacts between them.
 
     Raises:
-        ValueError: for contacts of what is no body, for two of one pair, for bodies in contact that
-            both share velocities with a third one, and for two frictions between the same groups.
+        ValueError: For contacts of point sets that are no body, two contacts of one pair, bodies in
+            contact that both share velocities with a third one, and different frictions between
+            the same groups.
     """
     number = {id(body): k for k, body in enumerate(bodies)}
     frictions: dict[tuple[int, int], float] = {}
@@ -86,12 +90,12 @@ def share_velocities(
         ends = [number.get(id(body)) for body in (contact.first, contact.second)]
         if None in ends:
             raise ValueError(
-                "a contact of points that are no body of this simulation: give both among its "
-                "bodies; carried points have no mass and move with the grid"
+                "a contact needs bodies of this simulation: pass both as bodies, since carried "
+                "points have no mass and move with the grid"
             )
         pair = (min(ends), max(ends))  # type: ignore[type-var]
         if pair in frictions:
-            raise ValueError(f"two contacts of the bodies {pair[0]} and {pair[1]}: give one")
+            raise ValueError(f"the bodies {pair[0]} and {pair[1]} have two contacts: give one")
         frictions[pair] = contact.friction  # type: ignore[index]
     group = list(range(len(bodies)))
     for a, b in combinations(range(len(bodies)), 2):
@@ -103,13 +107,14 @@ def share_velocities(
             others = [k for k in range(len(bodies)) if group[k] == group[a] and k not in (a, b)]
             raise ValueError(
                 f"the bodies {a} and {b} are in contact, but share velocities with the bodies "
-                f"{others}, since these have no contact with them: give those contacts, too"
+                f"{others}, which have no contact with them: give these contacts, too"
             )
         pair = (min(group[a], group[b]), max(group[a], group[b]))
         if between.setdefault(pair, friction) != friction:
             raise ValueError(
-                f"frictions {between[pair]} and {friction} between bodies that share velocities: "
-                "give the same, or contacts between those on the same side, too"
+                f"frictions {between[pair]} and {friction} act between bodies that share "
+                "velocities: use one value, or give contacts between the bodies on the same side, "
+                "too"
             )
     return [[bodies[k] for k in range(len(bodies)) if group[k] == g] for g in sorted({*group})]
 

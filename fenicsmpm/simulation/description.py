@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What printing a time loop says."""
+"""The text that is printed for time loops."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def facts_of_bodies(
     carried: Sequence[MaterialPoints],
     rigid: Sequence[RigidBody],
 ) -> Facts:
-    """A line for each set of points and each rigid body; not collective.
+    """Return a line for each set of points and each rigid body. Not collective.
 
     Args:
-        bodies: of the simulation.
-        laws: at the points of those that have one.
-        carried: further points.
-        rigid: rigid bodies.
+        bodies: Bodies of the simulation.
+        laws: Laws at the points, for bodies that have one.
+        carried: Further points.
+        rigid: Rigid bodies.
     """
     facts = [
         ("body", f"{body.size_global} points" + (f" of {laws[body]!r}" if body in laws else ""))

@@ -51,71 +51,71 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
 
-# Steps after which carried points are looked at, which may bring all points up to date
+# Number of steps after which carried points are checked, which may bring all points up to date
 _LOOK = 100
 
 
 class ExplicitMPM(Described):
-    """Explicit dynamics of material points on a background mesh that stays.
+    """Explicit dynamics of material points on a fixed background mesh.
 
-    In a step, points give mass, momentum and forces to the nodes (P2G), ``m a = -R`` gives the
-    nodes' accelerations with the lumped mass, new velocities move the points (G2P), and stresses
-    follow from the deformation.
+    In a step, points give mass, momentum and forces to the nodes (P2G). ``m a = -R`` gives the
+    accelerations of the nodes with the lumped mass. The new velocities move the points (G2P), and
+    stresses follow from the deformation.
 
     Args:
-        R: residual of rank 1, internal less external forces [N], tested on the velocity's space:
-            ``formulations.internal_force`` of each body, ``body_force``, ``dead_load``, and terms
-            of one's own over points, cells and facets. The velocity in it is the one of the
-            beginning of the step; inertia is not part of it.
-        unknown: the velocity of the nodes [m/s], ``Unknown(mesh, "v")``, in linear functions. Its
-            conditions are all components for fixed nodes, the normal one for rollers and slip
-            walls.
-        bodies: material points with the fields of ``formulations.set_initial_state``. Those without
-            a contact between them share the nodes' velocities: they meet without slip and never
-            part. Each has averages of J of its own. They see the grid functions chosen by
-            ``basis.use``, otherwise the finite elements of the mesh.
-        contacts: between bodies that touch, slide and part.
-        carried: further points that move with the grid, such as those that carry loads; each gets
-            a field "u" if it has none.
-        bcs: further Dirichlet conditions of dolfinx.
-        updates: for each point set, more fields to be renewed at the end of a step, beside those of
-            ``PointField.renew``: UFL over its points with the velocity at the end of the step, or
-            functions that return new arrays.
-        data: called with the times at the beginning and end of each step, to set loads and
-            boundary values of its beginning. Points are as they are then.
-        on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
-        dt: time step [s]; None for the share ``cfl`` of what is stable, found again at times.
-        cfl: time step times wave speed per cell size.
-        flip: share of FLIP in velocities, the rest is PIC (eq. 13).
-        damping: share of local damping, for static problems.
-        rigid: rigid bodies, which points cannot enter. With friction, points get a field for their
-            slip on each.
-        observers: called around the steps that are yielded, in their order: ``Observer``s, or
-            functions of the simulation and the ``Step``.
+        R: Residual of rank 1 in N, internal minus external forces, tested on the space of the
+            velocity: ``formulations.internal_force`` of each body, ``body_force``, ``dead_load``,
+            and the user's own terms over points, cells and facets. The velocity in it is that at
+            the beginning of the step. It contains no inertia.
+        unknown: Velocity of the nodes in m/s, ``Unknown(mesh, "v")``, in linear functions. Its
+            conditions fix all components of nodes, or the normal one for rollers and slip walls.
+        bodies: Material points with the fields of ``formulations.set_initial_state``. Bodies
+            without a contact between them share the velocities of the nodes: they meet without
+            slip and never separate. Each body has its own averages of J. Points see the grid
+            functions chosen by ``basis.use``, by default the finite elements of the mesh.
+        contacts: Contacts between bodies that touch, slide and separate.
+        carried: Further points that move with the grid, such as those that carry loads. Each set
+            gets a field "u" if it has none.
+        bcs: Further Dirichlet conditions of dolfinx.
+        updates: For each point set, more fields to be updated at the end of a step, in addition to
+            those of ``PointField.renew``: UFL over its points with the velocity at the end of the
+            step, or functions that return new arrays.
+        data: Function of the times at the beginning and end of each step that sets loads and
+            boundary values at the beginning. Points are up to date when it is called.
+        on_exit: Treatment of points that leave the mesh: "error", "delete" or "clamp".
+        dt: Time step in s; None for the fraction ``cfl`` of the stable step, updated now and then.
+        cfl: Time step times wave speed over cell size.
+        flip: Fraction of FLIP in velocities; the rest is PIC (eq. 13).
+        damping: Factor of local damping, for static problems.
+        rigid: Rigid bodies, which points cannot enter. With friction, points get a field for their
+            slip on each of them.
+        observers: ``Observer`` objects called around the yielded steps in their order, or functions
+            of the simulation and the ``Step``.
 
     Attributes:
-        velocity: of the nodes [m/s], at the end of the last step; where bodies in contact meet, the
-            mean by mass. Loads on carried points, cells and facets are shared out likewise.
-        time: [s].
-        number: of steps done.
-        dt: length of the last step [s], before the first of that.
-        bodies: material points. Whoever changes their mass or V_0 calls ``settle`` first.
-        carried: points that move along.
-        laws: law at the points of each body that has one; may be replaced by one of the same kind
-            with other parameters.
-        bcs: may be changed between steps, as may flip, damping and data.
-        rigid: rigid bodies.
-        contacts: with their forces and gaps in the last step.
-        reaction: force on the grid by Dirichlet conditions in the last step, ``(d,)`` [N].
-        duration: dt as a constant for UFL, such as that of ``updates`` [s].
-        seconds: time spent in each stage so far [s].
+        velocity: Velocity of the nodes in m/s at the end of the last step. Where bodies in contact
+            meet, it is the mass-weighted mean. Loads on carried points, cells and facets are
+            distributed likewise.
+        time: Time in s.
+        number: Number of steps done.
+        dt: Length of the last step in s; before the first step, its length.
+        bodies: Material points. Call ``settle`` before you change their mass or V_0.
+        carried: Points that move along.
+        laws: Law at the points of each body that has one. It may be replaced by one of the same
+            kind with other parameters.
+        bcs: Dirichlet conditions; may be changed between steps, as may flip, damping and data.
+        rigid: Rigid bodies.
+        contacts: Contacts with their forces and gaps in the last step.
+        reaction: Force of Dirichlet conditions on the grid in the last step in N, ``(d,)``.
+        duration: dt in s as a constant for UFL, for example in ``updates``.
+        seconds: Computing time spent in each stage so far, in s.
 
     Raises:
-        TypeError: for a residual that is no form.
-        ValueError: for a residual of another rank, with unknowns, or on another space or mesh;
-            points without their fields; options out of range; contacts of what is no body, that
-            bodies cannot have all at once, or of bodies that overlap by a cell or more; no dt for
-            bodies without a law.
+        TypeError: If R is no form.
+        ValueError: For a residual of another rank, with unknowns, or on another space or mesh;
+            points without their fields; options out of range; contacts of point sets that are no
+            body, that bodies cannot have all at once, or of bodies that overlap by a cell or more;
+            no dt for bodies without a law.
     """
 
     def __init__(
@@ -137,13 +137,13 @@ class ExplicitMPM(Described):
         rigid: Sequence[RigidBody] = (),
         observers: Sequence[Watcher] = (),
     ) -> None:
-        """Check and compile everything (collective)."""
+        """Check and compile everything. Collective."""
         if dt is not None:
             check_time_step(dt)
         if not (0 < cfl < math.inf and 0 <= flip <= 1 and 0 <= damping < 1):
             raise ValueError(
-                f"cfl must be positive, flip lie in [0, 1] and damping in [0, 1): {cfl}, {flip}, "
-                f"{damping}"
+                f"cfl must be positive, flip in [0, 1] and damping in [0, 1), not {cfl}, {flip} "
+                f"and {damping}"
             )
         self.exits = Exits(on_exit)
         self.unknown, self.velocity = unknown, _velocity(unknown)
@@ -191,7 +191,7 @@ class ExplicitMPM(Described):
     def _all_updates(
         self, R: ufl.Form, updates: Mapping[MaterialPoints, Mapping[str, Any]]
     ) -> dict[MaterialPoints, dict[str, Any]]:
-        """What the residual's fields say of their renewal, and the user's updates."""
+        """Return updates defined by fields of the residual, and the user's updates."""
         moving = [*self.bodies, *self.carried]
         check_updates(updates, moving)
         found = renewals(R, dict.fromkeys(moving, self.duration * self.velocity))
@@ -203,11 +203,11 @@ class ExplicitMPM(Described):
 
     @property
     def has_data(self) -> bool:
-        """Whether boundary values or loads are set anew for each step."""
+        """Whether boundary values or loads are set in each step."""
         return self.data is not None or any(c.depends_on_time for c in self.unknown.conditions)
 
     def set_data(self) -> None:
-        """Set boundary values, and what the user sets, for the next step."""
+        """Set boundary values and the user's data for the next step."""
         self.unknown.require_conditions(self._fixed)
         if self.has_data:
             self.unknown.set_conditions(self.time, self.time + self.dt)
@@ -215,10 +215,13 @@ class ExplicitMPM(Described):
             self.data(self.time, self.time + self.dt)
 
     def reaction_of(self, condition: Condition) -> npt.NDArray[np.float64]:
-        """Force on the bodies by a condition in the last step, ``(d,)`` [N] (collective).
+        """Return the force of a condition on the bodies in the last step in N. Collective.
 
         Args:
-            condition: made by ``Unknown.fix``.
+            condition: Condition made by ``Unknown.fix``.
+
+        Returns:
+            Force, shape ``(d,)``.
         """
         dofs, forces = self._way.support_forces()
         here = np.isin(dofs, _compat.bc_dofs(condition.bc))
@@ -227,32 +230,32 @@ class ExplicitMPM(Described):
         return np.asarray(self.velocity.function_space.mesh.comm.allreduce(value))
 
     def mass(self) -> fem.Function:
-        """Of the nodes in the last step [kg] (collective at first use)."""
+        """Return the mass of the nodes in the last step in kg. Collective at first use."""
         return self._way.mass()
 
     def acceleration(self) -> fem.Function:
-        """Of the nodes in the last step [m/s^2] (collective at first use)."""
+        """Return the nodal acceleration in the last step in m/s^2. Collective at first use."""
         return self._way.acceleration()
 
     def contact_forces(self, contact: Contact) -> fem.Function:
-        """Of a contact on its second body at the nodes in the last step [N] (collective).
+        """Return nodal forces of a contact on its second body in the last step in N. Collective.
 
         Args:
-            contact: one of this simulation.
+            contact: A contact of this simulation.
 
         Raises:
-            ValueError: for another one.
+            ValueError: For any other contact.
         """
         if contact not in self.contacts or not isinstance(self._way, ByForms):
-            raise ValueError(f"no contact of this simulation: {contact!r}")
+            raise ValueError(f"this simulation does not have the contact {contact!r}")
         function = fem.Function(self.velocity.function_space, name="contact force")
         function.x.array[:] = self._way.contact_forces(contact).ravel()
         return function
 
     def _is_for_kernels(self) -> bool:
-        """Whether fused kernels do what the residual says, but for further terms."""
+        """Return whether fused kernels can compute the residual, apart from further terms."""
         mesh = self.velocity.function_space.mesh
-        if self.contacts:  # kernels have one velocity a node
+        if self.contacts:  # kernels have one velocity per node
             return False
         if cell_geometry(mesh).boxes is None or self.residual.internal != set(self.bodies):
             return False
@@ -262,50 +265,53 @@ class ExplicitMPM(Described):
             return False
         try:
             lattice = lattice_of(mesh)
-        except ValueError:  # with holes
+        except ValueError:  # the mesh has holes
             return False
-        # kernels take all nodes that a point can see; on narrower lattices it sees fewer
+        # kernels use all nodes that a point can see; on narrower lattices it sees fewer
         width = WIDTH[KINDS[functions_of(self.bodies[0])]]
         return bool(np.all(lattice.shape + 1 >= width))
 
     # --- steps -------------------------------------------------------------------------------
 
     def step(self) -> Step:
-        """Do one step (collective).
+        """Do one step. Collective.
 
         Raises:
-            UnstableError: as ``run`` does.
+            UnstableError: As for ``run``.
         """
         self._observers.call("begin", self)
         removed = self._advance(1, self._step_length(), may_stay=True)
         return self._done(removed)
 
     def run(self, until: float, interval: float | None = None) -> Iterator[Step]:
-        """Do steps until a time (collective).
+        """Do steps until a time. Collective.
 
         Args:
-            until: end [s].
-            interval: time between the steps that are yielded [s]; None for each step.
+            until: End in s.
+            interval: Time between yielded steps in s; None for each step.
 
         Yields:
-            Steps at whose end all points and fields are up to date, or will be so as soon as
-            somebody looks at them.
+            Steps at whose end all points and fields are up to date, or are brought up to date as
+            soon as somebody reads them.
 
         Raises:
-            UnstableError: a point is inverted, not finite or outside; all points are as they were
-                when somebody looked at them last, or up to 100 steps before, which is at ``time``;
-                nodal fields are not.
-            ValueError: for an end that is not finite or an interval that is not positive.
+            UnstableError: If a point is inverted, not finite or outside. All points are then as
+                they were when somebody last read them, or up to 100 steps before; ``time`` is set
+                accordingly. Nodal fields are not restored.
+            ValueError: For an end that is not finite or an interval that is not positive.
         """
         if not math.isfinite(until) or not (interval is None or interval > 0):
-            raise ValueError(f"run until {until} s at intervals of {interval} s")
+            raise ValueError(
+                f"the end of a run must be finite and its interval positive, not {until} s and "
+                f"{interval} s"
+            )
         while until - self.time > 1e-9 * self.dt:
-            # from where it is, so that a restart there does the same
+            # counted from the current time, so that a restart there does the same
             stop = until if interval is None else min(until, self.time + interval)
             removed = 0
             self._observers.call("begin", self)
             while stop - self.time > 1e-9 * self.dt:
-                # equal steps that end at the stop, none longer than it may be
+                # equal steps that end at the stop, none longer than allowed
                 left = stop - self.time
                 steps = max(1, math.ceil(left / self._step_length() - 1e-9))
                 count = min(steps, 1 if interval is None else self._way.longest)
@@ -314,11 +320,11 @@ class ExplicitMPM(Described):
                 if interval is None:
                     break
             else:
-                self.time = stop  # without the round-off of the sum of steps
+                self.time = stop  # without the round-off of a sum of steps
             yield self._done(removed)
 
     def _done(self, removed: int) -> Step:
-        """The last step, when observers have seen it."""
+        """Return the last step, after observers have seen it."""
         if self.number >= self._next_look:
             self._torn_off.look(self.time)
             self._next_look = self.number + _LOOK
@@ -327,7 +333,7 @@ class ExplicitMPM(Described):
         return step
 
     def _advance(self, steps: int, dt: float, may_stay: bool) -> int:
-        """Do some steps; how many points left the mesh meanwhile."""
+        """Do some steps, and return how many points left the mesh."""
         before = self.time, self.number
         self.dt = dt
         try:
@@ -337,7 +343,7 @@ class ExplicitMPM(Described):
             raise
 
     def settle(self) -> None:
-        """Bring all points up to date, so that a restart goes on as this run does (collective)."""
+        """Bring all points up to date, so that a restart continues as this run. Collective."""
         self._way.settle()
 
     def end_of_step(self) -> None:
@@ -349,18 +355,18 @@ class ExplicitMPM(Described):
 
     @property
     def method(self) -> str:
-        """Name of the method, with the number of rigid bodies, whose states are in ``memory``."""
+        """Name of the method with the number of rigid bodies, whose states are in ``memory``."""
         bodies = f" with {len(self.rigid)} rigid bodies" if self.rigid else ""
         return type(self).__name__ + bodies
 
     @property
     def slips(self) -> list[str]:
-        """Fields of the bodies' elastic slip on rigid bodies with friction."""
+        """Names of the fields of slip on rigid bodies with friction."""
         return [slip_on(k) for k, rigid in enumerate(self.rigid) if rigid.friction > 0]
 
     @property
     def parameters(self) -> dict[str, str]:
-        """What the script has chosen, for checkpoints."""
+        """Return choices of the script, for checkpoints."""
         said = {"flip": repr(self.flip), "damping": repr(self.damping)}
         for k, contact in enumerate(self.contacts):
             said[f"friction of contact {k}"] = repr(contact.friction)
@@ -373,7 +379,7 @@ class ExplicitMPM(Described):
 
     @property
     def memory(self) -> dict[str, float]:
-        """What the next step depends on, beside the points, for checkpoints."""
+        """Numbers that the next step depends on, in addition to the points, for checkpoints."""
         return {**self._way.memory, **memory_of(self.rigid)}
 
     @memory.setter
@@ -384,7 +390,7 @@ class ExplicitMPM(Described):
     # --- time step -----------------------------------------------------------------------------
 
     def stable_step(self) -> float:
-        """Time that a wave takes through a cell: the limit of stability, about [s] (collective)."""
+        """Return the time of a wave through a cell in s, about the stable step. Collective."""
         fastest = 0.0
         for points in self.bodies:
             if len(points):
@@ -398,17 +404,17 @@ class ExplicitMPM(Described):
 
     @property
     def contact_rate(self) -> float:
-        """Square of the rate at which waves go through cells, which contacts take [1/s^2]."""
+        """Return the square of the rate in 1/s^2 at which waves cross cells, for contacts."""
         if len(self.laws) == len(self.bodies):
             return 1 / self._stable**2
-        return math.inf  # as fast as the step allows
+        return math.inf  # limited by the step only
 
     def _step_length(self) -> float:
         if self._way.is_open:
             return self._longest_dt
         if self._given_dt is None and len(self.laws) < len(self.bodies):
             raise ValueError(
-                "no law at points says how fast waves are in a body: give the time step dt"
+                "no law at points gives the wave speed of a body: set the time step dt"
             )
         stable = self.stable_step()
         self._stable = stable
@@ -422,7 +428,7 @@ class ExplicitMPM(Described):
         return dt
 
     def raise_if(self, messages: list[str]) -> None:
-        """Raise an UnstableError on all ranks if there is a message on any (collective)."""
+        """Raise an UnstableError on all ranks if there is a message on any rank. Collective."""
         comm = self.velocity.function_space.mesh.comm
         if comm.size > 1:
             messages = [m for some in comm.allgather(messages) for m in some]
@@ -433,10 +439,10 @@ class ExplicitMPM(Described):
             )
 
     def _hint(self) -> str:
-        """What may have made points unstable."""
+        """Return possible reasons of the instability."""
         hints = [
             f"the rigid body {body.name} pushed with {body.force} N: give it a larger reach or a "
-            "lower stiffness, or begin further away from it"
+            "lower stiffness, or start further away from it"
             for body in self.rigid
             if np.any(body.force)
         ]
@@ -444,7 +450,7 @@ class ExplicitMPM(Described):
             hints.append("the step is longer than that: take smaller ones")
         elif not hints:
             hints.append(
-                "where points fill few nodes, as in thin films along walls, steps have to be "
+                "where points fill few nodes, as in thin films along walls, steps must be "
                 "shorter: lower cfl"
             )
         return "".join(f"; {hint}" for hint in hints)
@@ -461,12 +467,12 @@ class ExplicitMPM(Described):
         ]
 
     def __repr__(self) -> str:
-        """The same as is printed."""
+        """Return the same text as printing."""
         return str(self)
 
 
 def _smallest_height(mesh: Any) -> float:
-    """Smallest distance of a node of a cell from the opposite facet [m] (collective)."""
+    """Return the smallest distance of a node from the opposite facet in m. Collective."""
     geometry = cell_geometry(mesh)
     if geometry.boxes is not None:
         return float(geometry.boxes.spacing.min())
@@ -482,10 +488,10 @@ def _smallest_height(mesh: Any) -> float:
 
 
 def _velocity(unknown: Unknown) -> fem.Function:
-    """The function of an unknown that is a velocity alone."""
+    """Return the function of an unknown that consists of a velocity only."""
     if len(unknown.parts) != 1 or not unknown.parts[0].is_vector or unknown.moving is not None:
         raise ValueError(
-            'the unknown of explicit steps is the velocity of the nodes, Unknown(mesh, "v"), not '
-            f"{unknown!r}"
+            'the unknown of explicit steps must be the velocity of the nodes, Unknown(mesh, "v"), '
+            f"not {unknown!r}"
         )
     return unknown.U

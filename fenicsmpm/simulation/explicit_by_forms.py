@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Explicit steps by forms: any mesh, any grid functions, any residual.
 
-What the fused kernels on lattices do in fewer passes over the points is said here once, in UFL.
+This module states once in UFL what the fused kernels on lattices do in fewer passes over the
+points.
 """
 
 from __future__ import annotations
@@ -46,19 +47,19 @@ Array = npt.NDArray[np.float64]
 
 
 class BodyByForms:
-    """What happens at the points of a body in a step, in UFL.
+    """Updates at the points of a body in a step, in UFL.
 
     Args:
-        points: the body.
-        sigma: its stress by a law at points; None where all of its forces are UFL.
-        averages: how J is averaged for stresses; None for J itself.
-        velocity: on the grid at the end of the step [m/s].
-        increment: by which it has changed [m/s].
-        straining: velocity on the grid whose gradient deforms the points [m/s].
-        dt: length of the step [s].
-        flip: share of FLIP in the points' velocities.
-        scalars: space of a scalar on the nodes.
-        updates: further fields to be renewed, see ``ExplicitMPM``.
+        points: The body.
+        sigma: Its stress by a law at points; None if all of its forces are UFL.
+        averages: Averages of J for stresses; None for J itself.
+        velocity: Velocity of the grid at the end of the step in m/s.
+        increment: Change of this velocity in the step in m/s.
+        straining: Velocity of the grid in m/s whose gradient deforms the points.
+        dt: Length of the step in s.
+        flip: Fraction of FLIP in the points' velocities.
+        scalars: Space of a scalar on the nodes.
+        updates: Further fields to be updated, see ``ExplicitMPM``.
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class BodyByForms:
         scalars: fem.FunctionSpace,
         updates: Mapping[str, Any],
     ) -> None:
-        """Write down and compile (collective)."""
+        """Write the updates in UFL and compile them. Collective."""
         self.points, self._averages = points, averages
         law = sigma.law if sigma is not None else None
         f = ufl.Identity(points.mesh.geometry.dim) + dt * ufl.grad(straining)
@@ -96,16 +97,16 @@ class BodyByForms:
         self._scalars = scalars
 
     def momentum(self, space: fem.FunctionSpace, v: Array) -> Array:
-        """Mass and momentum on the nodes, ``(n_nodes, 1 + d)`` [kg, kg m/s] (collective)."""
+        """Return nodal mass in kg and momentum in kg m/s, ``(n_nodes, 1 + d)``. Collective."""
         columns = np.column_stack([np.ones(len(v)), v]) * self.points["mass"][:, None]
         return p2g(self.points, columns, space, positive=True).array.reshape(-1, columns.shape[1])
 
     def moved(self) -> dict[str, Array]:
-        """Velocities "v", displacements "u" and positions "x" after the step; points stay."""
+        """Return velocities "v", displacements "u" and positions "x" after the step."""
         return _summed(self.points, self._motion.evaluate())
 
     def strained(self, law: Law | None) -> dict[str, Array]:
-        """Other fields after the step, by the law as it is now; the points stay as they are."""
+        """Return other fields after the step, by the current law; points do not change."""
         new = self._strain.evaluate()
         if self._averages is not None:
             new["J_bar"] = self._average(new["J_bar"]) * self.points["J_0"]
@@ -121,7 +122,7 @@ class BodyByForms:
         return new
 
     def _average(self, J: Array) -> Array:
-        """Mean by volume over the grid, at the points (F-bar, equation 19)."""
+        """Return the volume average over the grid at the points (F-bar, eq. 19). Collective."""
         volume = self.points.weight
         columns = np.column_stack([volume, volume * J])
         sums = p2g(self.points, columns, self._scalars, positive=True).array.reshape(-1, 2)
@@ -129,19 +130,19 @@ class BodyByForms:
         self._mean.x.array[:] = 0.0
         np.divide(sums[:, 1], sums[:, 0], out=self._mean.x.array, where=where)
         continue_to_walls(self._mean.x.array, sums[:, 0], self._walls)
-        self._mean.x.scatter_forward()  # the next nodes of ghosts may be away
+        self._mean.x.scatter_forward()  # neighbours of ghost nodes may be on other ranks
         return self._mean_at_points.evaluate()
 
 
 class ByForms:
-    """The stages of explicit steps, each as a form or a sum on the grid.
+    """Stages of explicit steps, each of them a form or a sum on the grid.
 
     Args:
-        sim: the simulation, whose residual, points and options are taken.
-        updates: further fields to be renewed.
+        sim: The simulation, which defines residual, points and options.
+        updates: Further fields to be updated.
 
     Attributes:
-        longest: how many steps may be done before points are up to date.
+        longest: Number of steps that may be done before points are brought up to date.
     """
 
     longest = 1
@@ -150,7 +151,7 @@ class ByForms:
     def __init__(
         self, sim: ExplicitMPM, updates: Mapping[MaterialPoints, Mapping[str, Any]]
     ) -> None:
-        """Compile (collective)."""
+        """Compile the stages. Collective."""
         self._sim, residual = sim, sim.residual
         V = sim.velocity.function_space
         mesh = V.mesh
@@ -198,38 +199,38 @@ class ByForms:
         self._supported: Array = np.empty(0)
 
     def _form_of(self, bodies: Sequence[MaterialPoints]) -> Any:
-        """The residual's integrals over the points of some bodies, compiled; None for none."""
+        """Return the compiled integrals over the points of some bodies; None for none."""
         part = self._sim.residual.at(bodies)
         return part and forms.form(part)
 
     def mass(self) -> fem.Function:
-        """Of the nodes in the last step [kg]."""
+        """Return the mass of the nodes in the last step in kg."""
         return self._mass
 
     def acceleration(self) -> fem.Function:
-        """Of the nodes in the last step [m/s^2]."""
+        """Return the acceleration of the nodes in the last step in m/s^2."""
         return self._acceleration
 
     def support_forces(self) -> tuple[npt.NDArray[np.int32], Array]:
-        """See ``ExplicitMPM.reaction_of``: owned dofs, and the force at each of them [N]."""
+        """Return owned dofs and the force in N at each, see ``ExplicitMPM.reaction_of``."""
         return np.arange(len(self._supported), dtype=np.int32), self._supported
 
     def contact_forces(self, contact: Contact) -> Array:
-        """See ``ExplicitMPM.contact_forces``, ``(n_nodes, d)``."""
+        """Return nodal forces in N, ``(n_nodes, d)``, see ``ExplicitMPM.contact_forces``."""
         return self._contacts.nodal_forces(contact)
 
     def settle(self) -> None:
-        """Nothing: all points are up to date."""
+        """Do nothing: all points are up to date."""
 
     def advance(self, steps: int, may_stay: bool) -> int:
-        """Do steps; if one fails, all points are as before (collective).
+        """Do steps. If one fails, all points are as they were before. Collective.
 
         Args:
-            steps: how many.
-            may_stay: of no consequence, since points are always up to date.
+            steps: Number of steps.
+            may_stay: Ignored, since points are always up to date.
 
         Returns:
-            How many points left the mesh.
+            Number of points that left the mesh.
         """
         sim = self._sim
         moving = [*sim.bodies, *sim.carried]
@@ -282,20 +283,20 @@ class ByForms:
         return removed
 
     def _show(self, field: NodalField) -> None:
-        """Let forms and expressions see the velocities of a field."""
+        """Copy the velocities of a field to the functions that forms and expressions use."""
         self._sim.velocity.x.array[:] = field.velocity.ravel()
         self._increment.x.array[:] = field.increment.ravel()
         if self._maps_back:
             self._straining.x.array[:] = field.straining.ravel()
 
     def _show_mean(self) -> None:
-        """The same of the mean by mass of all fields."""
+        """Copy the mass-weighted mean of all fields likewise."""
         self._sim.velocity.x.array[:] = mean("velocity", self._fields).ravel()
         self._increment.x.array[:] = mean("increment", self._fields).ravel()
         self._acceleration.x.array[:] = self._increment.x.array / self._sim.dt
 
     def _points_to_grid(self) -> None:
-        """Mass and velocity of the nodes."""
+        """Compute mass and velocity of the nodes."""
         for field in self._fields:
             v = {body.points: body.points["v"] for body in field.bodies}
             field.mass, field.velocity = self._nodal_velocity(field, v)
@@ -304,24 +305,24 @@ class ByForms:
     def _nodal_velocity(
         self, field: NodalField, v: Mapping[MaterialPoints, Array]
     ) -> tuple[Array, Array]:
-        """Mass of the nodes [kg], and their velocity from those of the points."""
+        """Return nodal masses in kg, and nodal velocities from those of the points."""
         sums = np.sum([body.momentum(self._V, v[body.points]) for body in field.bodies], axis=0)
         mass = sums[:, :1]
-        # where functions end, round-off may have any sign
+        # where functions end, round-off may have either sign
         mass[mass <= self._least_mass()] = 0.0
         momentum = sums[:, 1:]
         velocity = np.divide(momentum, mass, out=np.zeros_like(momentum), where=mass > 0)
         return mass[:, 0], velocity
 
     def _map_back(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> None:
-        """Velocity whose gradient deforms points of linear functions, see `light_nodes`."""
+        """Compute the velocity whose gradient deforms points of linear functions: `light_nodes`."""
         for field in self._fields:
             v = {body.points: new[body.points]["v"] for body in field.bodies}
             _, field.straining = self._nodal_velocity(field, v)
             self._constrain(field.straining)
 
     def _constrain(self, velocity: Array) -> None:
-        """Dirichlet conditions on velocities ``(n_nodes, d)`` of a field, in place (collective)."""
+        """Apply Dirichlet conditions to velocities ``(n_nodes, d)``, in place. Collective."""
         v = self._sim.velocity
         v.x.array[:] = velocity.ravel()
         for bc in self._sim.bcs:
@@ -330,7 +331,7 @@ class ByForms:
         velocity[:] = v.x.array.reshape(-1, self._dim)
 
     def _forces(self) -> None:
-        """Minus the residual, with that of light nodes given to their neighbours."""
+        """Compute forces: minus the residual, moved from light nodes to their neighbours."""
         for field in self._fields:
             field.force = np.zeros_like(field.velocity)
             if field.form is not None:
@@ -343,7 +344,7 @@ class ByForms:
             share_out(-force, self._fields)
 
     def _assembled(self, form: Any, mass: Array, light: float, of_loads: bool) -> Array:
-        """A form ``(n_nodes, d)`` without forces on light nodes (collective)."""
+        """Return a form ``(n_nodes, d)`` without forces on light nodes. Collective."""
         force = self._force
         force.array[:] = 0.0
         forms.assemble_vector(form, force)
@@ -354,7 +355,7 @@ class ByForms:
         return nodes
 
     def _push(self) -> dict[MaterialPoints, dict[str, Array]]:
-        """Contact forces of rigid bodies, to the nodes; elastic slips of points on them."""
+        """Add contact forces of rigid bodies to the nodes, and return slips of points on them."""
         sim, messages = self._sim, []
         slips = {body: {name: body[name].copy() for name in sim.slips} for body in sim.bodies}
         self._pushed = np.zeros((len(sim.rigid), TOTALS))
@@ -394,17 +395,17 @@ class ByForms:
             rigid.end(sim.dt, total)
 
     def _slip(self, fields: Mapping[str, Array], number: int) -> Array:
-        """Slip on a rigid body ``(n, 2 d)``, of no points without friction."""
+        """Return slip on a rigid body ``(n, 2 d)``, without rows if there is no friction."""
         slip = fields.get(slip_on(number), np.empty((0, 2, self._dim)))
         return slip.reshape(len(slip), 2 * self._dim)
 
     def _all_points(self) -> Iterator[tuple[NodalField, MaterialPoints]]:
-        """Bodies with the fields of their nodes."""
+        """Yield bodies with their nodal fields."""
         for field in self._fields:
             yield from ((field, body.points) for body in field.bodies)
 
     def _move_nodes(self) -> None:
-        """Momentum balance of the nodes (F-bar, equation 9), damping, conditions, contact."""
+        """Solve the momentum balance of the nodes (F-bar, eq. 9): damping, conditions, contact."""
         sim, dt, owned = self._sim, self._sim.dt, self._V.dofmap.index_map.size_local
         fixed: npt.NDArray[np.bool_] = np.zeros(self._force.array.size, dtype=np.bool_)
         fixed[_compat.fixed_dofs(sim.bcs)] = True
@@ -433,7 +434,7 @@ class ByForms:
         return [force_without_material(where)]
 
     def _convect(self, new: Mapping[MaterialPoints, dict[str, Array]]) -> int:
-        """Give points their new fields, and move them."""
+        """Assign new fields to the points, and move them."""
         sim, removed = self._sim, 0
         for points, fields in new.items():
             points.assign({name: array for name, array in fields.items() if name != "x"})
@@ -446,13 +447,13 @@ class ByForms:
         return removed
 
     def _least_mass(self) -> float:
-        """Far below any point's share in a node whose support it is in [kg]."""
+        """Return a mass in kg far below that of any point at a node in its support."""
         least = min(float(np.min(body["mass"], initial=np.inf)) for body in self._sim.bodies)
         return 1e-16 * self._V.mesh.comm.allreduce(least, MPI.MIN)
 
     @property
     def memory(self) -> dict[str, float]:
-        """Nothing."""
+        """Nothing to remember."""
         return {}
 
     @memory.setter
@@ -460,20 +461,20 @@ class ByForms:
         pass
 
     def facts(self) -> Facts:
-        """What is done by forms: everything."""
+        """Return that everything is done by forms."""
         parts = [field.form for field in self._fields] + [self._elsewhere]
         return [("by forms", repr(form)) for form in parts if form is not None]
 
 
 def _summed(points: MaterialPoints, new: dict[str, Array]) -> dict[str, Array]:
-    """New fields with displacements "u" and positions "x", from increments of both in "x"."""
+    """Return new fields with displacements "u" and positions "x", from increments in "x"."""
     increment = new["x"]
     return {**new, "u": points["u"] + increment, "x": points.x + increment}
 
 
 def _fault(points: MaterialPoints, new: Mapping[str, Array]) -> str | None:
-    """What is wrong with a point after a step, and where it is."""
-    J = new["J"] + 0 * new["v"].sum(axis=1)  # no number, if one of both is none
+    """Return what is wrong with a point after a step, and where it is; None if all is well."""
+    J = new["J"] + 0 * new["v"].sum(axis=1)  # NaN if either is
     stressed = np.isfinite(new["sigma"]).all(axis=(1, 2)) if "sigma" in new else True
     good = (J > 0) & np.isfinite(J) & stressed
     if good.all():

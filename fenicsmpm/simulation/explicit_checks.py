@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of what an explicit simulation is made of."""
+"""Checks of the input of explicit simulations."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _NEEDED = ("mass", "V_0", "F", "J", "u", "v")
 
 
 def check_space(V: fem.FunctionSpace) -> None:
-    """Raise ValueError for a space that is not one of velocities with a lumped mass.
+    """Raise ValueError unless a space is one of velocities with a lumped mass.
 
     Args:
-        V: the space.
+        V: The space.
     """
     element, dim = V.ufl_element(), V.mesh.geometry.dim
     if not is_linear(element) or V.dofmap.index_map_bs != dim:
@@ -32,20 +32,20 @@ def check_space(V: fem.FunctionSpace) -> None:
 def check_bodies(
     V: fem.FunctionSpace, bodies: Sequence[MaterialPoints], carried: Sequence[MaterialPoints]
 ) -> None:
-    """Raise ValueError for point sets that do not fit together (collective).
+    """Raise ValueError for point sets that do not fit together. Collective.
 
     Args:
-        V: space of velocities.
-        bodies: material points.
-        carried: further points that move along.
+        V: Space of velocities.
+        bodies: Material points.
+        carried: Further points that move along.
     """
     sets = [*bodies, *carried]
     if not bodies:
         raise ValueError("ExplicitMPM needs a body")
     if len({id(points) for points in sets}) < len(sets):
         raise ValueError(
-            "a point set is given twice as a body or as carried: select() its loaded points, "
-            "which gives a set of its own"
+            "a point set is given twice, as a body or as carried points: select() its loaded "
+            "points, which makes a separate set"
         )
     if any(points.mesh is not V.mesh for points in sets):
         raise ValueError(
@@ -63,12 +63,12 @@ def check_bodies(
 
 
 def check_functions(sets: Sequence[MaterialPoints]) -> None:
-    """Raise ValueError if point sets do not see the same grid functions."""
+    """Raise ValueError unless all point sets see the same grid functions."""
     names = {functions_of(points) for points in sets}
     if len(names) > 1:
         raise ValueError(
-            f"points that see different grid functions: {', '.join(sorted(names))}. Bodies and "
-            "carried points need the same, see basis.use"
+            "bodies and carried points must see the same grid functions, not "
+            f"{', '.join(sorted(names))}: call basis.use for all of them"
         )
 
 
@@ -77,7 +77,7 @@ def check_rigid(rigid: Sequence[RigidBody], dim: int) -> None:
     for body in rigid:
         if body.dim != dim:
             raise ValueError(
-                f"the rigid body {body.name} has {body.dim} dimensions, the mesh has {dim}"
+                f"the rigid body {body.name} has {body.dim} dimensions, but the mesh has {dim}"
             )
     if len({id(body) for body in rigid}) < len(rigid):
-        raise ValueError("a rigid body is given twice")
+        raise ValueError("a rigid body is given twice: pass each one once")

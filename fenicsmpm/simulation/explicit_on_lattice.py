@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Explicit steps by the fused kernels of lattices, with further forces by forms beside."""
+"""Explicit steps by the fused kernels of lattices, with additional forces by forms."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-# Steps after which cells are found and points sorted: more would cost time, as would fewer
+# Number of steps after which cells are found and points sorted: both more and fewer are slower.
 STEPS_OF_A_BLOCK = 100
 
 
 class OnLattice:
-    """The stages of explicit steps by fused kernels, see ``LatticeEngine``.
+    """Stages of explicit steps by fused kernels, see ``LatticeEngine``.
 
     Args:
-        sim: the simulation, whose residual, points and options are taken.
-        updates: further fields to be renewed.
+        sim: The simulation, which defines residual, points and options.
+        updates: Further fields to be updated.
 
     Attributes:
-        is_open: whether points are in working arrays.
+        is_open: Whether points are in working arrays.
     """
 
     def __init__(
         self, sim: ExplicitMPM, updates: Mapping[MaterialPoints, Mapping[str, Any]]
     ) -> None:
-        """Prepare; kernels are compiled in the first step (collective)."""
+        """Prepare the stages; kernels are compiled in the first step. Collective."""
         self._sim, residual = sim, sim.residual
         V = sim.velocity.function_space
         self._dim = V.mesh.geometry.dim
-        # made when somebody asks for them: arrays over all of the lattice
+        # created when somebody needs them: arrays over the whole lattice
         self._functions: dict[str, fem.Function] = {}
         self._last: dict[str, tuple[Callable[[fem.Function], None], float]] = {}
         self._engine = LatticeEngine(
@@ -70,30 +70,30 @@ class OnLattice:
             None if rest is None else forms.form(rest)
             for rest in (residual.rest_at_bodies, residual.rest_elsewhere)
         )
-        # forms and updates take points where they are
+        # forms and updates need up-to-date points
         self._may_stay = self._at_bodies is None and self._elsewhere is None and not self._updates
         self._unsorted, self._count, self.is_open = 0, 0, False
         self._before: list[Any] = []
 
     @property
     def longest(self) -> int:
-        """How many steps may be done at once."""
-        # what gives data may look at points
+        """Number of steps that may be done at once."""
+        # the user's data may read the points
         if not self._may_stay or self._sim.has_data:
             return 1
         return STEPS_OF_A_BLOCK - (self._count if self.is_open else 0)
 
     def advance(self, steps: int, may_stay: bool) -> int:
-        """Do steps; if one fails, all points are as they were at the beginning of the block.
+        """Do steps. If one fails, all points are as they were at the beginning of the block.
 
         Collective.
 
         Args:
-            steps: how many.
-            may_stay: whether points may stay in working arrays until somebody looks at them.
+            steps: Number of steps.
+            may_stay: Whether points may stay in working arrays until somebody reads them.
 
         Returns:
-            How many points left the mesh.
+            Number of points that left the mesh.
         """
         sim, clock = self._sim, self._sim.seconds
         stays = may_stay and self._may_stay
@@ -131,7 +131,7 @@ class OnLattice:
         return 0
 
     def _begin(self) -> None:
-        """Begin a block of steps, and remember where."""
+        """Begin a block of steps, and store the state at its beginning."""
         sim = self._sim
         points = [*sim.bodies, *sim.carried]
         self._before = [(p, p.snapshot(copy=False), p.size_global) for p in points]
@@ -141,27 +141,27 @@ class OnLattice:
         self.is_open, self._count = True, 0
 
     def _not_plane(self) -> ValueError | None:
-        """What is wrong if kernels in the plane would lose a part of F."""
+        """Return an error if 2D kernels would lose a part of F."""
         if self._dim == 3:
             return None
         for body in self._sim.bodies:
             F = body["F"]
             if np.any(F[:, :2, 2] != 0) or np.any(F[:, 2, :2] != 0):
                 return ValueError(
-                    "fused kernels in the plane need deformation gradients without shear out of "
-                    "the plane: multiply internal_force by a fem.Constant, and it goes by forms, "
-                    "which keep all of F"
+                    "fused kernels in 2D need deformation gradients without out-of-plane shear: "
+                    "multiply internal_force by a fem.Constant, and forms are used instead, which "
+                    "keep all of F"
                 )
         return None
 
     def _has_changed(self) -> bool:
-        """Whether points were looked at, or laws or conditions replaced (collective)."""
+        """Return whether points were read, or laws or conditions replaced. Collective."""
         sim = self._sim
         changed = self._engine.is_looked_at or self._laws != sim.laws or self._bcs != sim.bcs
         return sim.velocity.function_space.mesh.comm.allreduce(changed, MPI.LOR)
 
     def _are_at_home(self) -> bool:
-        """Whether each point is in a cell that its rank owns (collective)."""
+        """Return whether each point is in a cell that its rank owns. Collective."""
         mesh = self._sim.velocity.function_space.mesh
         if mesh.comm.size == 1:
             return True
@@ -175,7 +175,7 @@ class OnLattice:
         return mesh.comm.allreduce(home, MPI.LAND)
 
     def _go_back(self) -> None:
-        """To the beginning of the block, without communication."""
+        """Return to the beginning of the block, without communication."""
         sim = self._sim
         self._engine.drop()
         self.is_open = False
@@ -186,11 +186,11 @@ class OnLattice:
             body.state = state
 
     def settle(self) -> None:
-        """Bring all points up to date, and end the block of steps (collective)."""
+        """Bring all points up to date, and end the block of steps. Collective."""
         if not self.is_open:
             return
         sort = self._unsorted >= STEPS_OF_A_BLOCK
-        self._before = []  # not to be in memory twice
+        self._before = []  # must not be in memory twice
         self._engine.settle(sort)
         self.is_open = False
         if sort:
@@ -232,7 +232,7 @@ class OnLattice:
             engine.finish(again, keep, anew)
 
     def _forces(self) -> list[str]:
-        """Add what is neither internal force nor gravity; what is wrong, on this rank."""
+        """Add forces other than internal force and gravity; return this rank's messages."""
         engine, velocity = self._engine, self._sim.velocity
         loads = {
             points: points.weight[:, None] * traction.evaluate()
@@ -249,7 +249,7 @@ class OnLattice:
         return engine.add_loads(loads, at_nodes) if loads or at_nodes is not None else []
 
     def _assemble(self, form: forms.Form) -> Array:
-        """Minus a part of the residual, at the nodes of this rank, ``(n, d)`` [N]."""
+        """Return minus a part of the residual at the nodes of this rank in N, ``(n, d)``."""
         force = la.vector(self._sim.velocity.function_space.dofmap.index_map, self._dim)
         forms.assemble_vector(form, force)
         force.scatter_reverse(la.InsertMode.add)
@@ -257,24 +257,24 @@ class OnLattice:
         return -force.array.reshape(-1, self._dim)[:owned]
 
     def mass(self) -> fem.Function:
-        """Of the nodes in the last step [kg] (collective at first use)."""
+        """Return the mass of the nodes in the last step in kg. Collective at first use."""
         if "mass" not in self._functions:
             mesh = self._sim.velocity.function_space.mesh
             self._make("mass", fem.functionspace(mesh, ("Lagrange", 1)))
         return self._functions["mass"]
 
     def support_forces(self) -> tuple[npt.NDArray[np.int32], Array]:
-        """See ``ExplicitMPM.reaction_of``: owned dofs, and the force at each of them [N]."""
+        """Return owned dofs and the force in N at each, see ``ExplicitMPM.reaction_of``."""
         return self._support_forces()
 
     def acceleration(self) -> fem.Function:
-        """Of the nodes in the last step [m/s^2] (collective at first use)."""
+        """Return the nodal acceleration in the last step in m/s^2. Collective at first use."""
         if "acceleration" not in self._functions:
             self._make("acceleration", self._sim.velocity.function_space)
         return self._functions["acceleration"]
 
     def _make(self, name: str, space: fem.FunctionSpace) -> None:
-        """A nodal field of the last step as a function."""
+        """Create the function of a nodal field of the last step."""
         self._functions[name] = function = fem.Function(space, name=name)
         if name in self._last:
             write, factor = self._last.pop(name)
@@ -282,7 +282,7 @@ class OnLattice:
             function.x.array[:] *= factor
 
     def _write_nodes(self) -> None:
-        """Nodal fields at the end of a step: as functions, where somebody has asked for them."""
+        """Write nodal fields at the end of a step to functions that somebody has asked for."""
         engine = self._engine
         engine.write("velocity", self._sim.velocity)
         for name, column, factor in (
@@ -296,7 +296,7 @@ class OnLattice:
                 self._last[name] = engine.keep(column), factor
 
     def _agree(self, messages: list[str], reaction: Array, held: Array) -> bool:
-        """Sum up over ranks what each has found in a step (collective).
+        """Sum up over ranks what each rank has found in a step. Collective.
 
         Returns:
             Whether points have left their tiles on any rank.
@@ -317,7 +317,7 @@ class OnLattice:
 
     @property
     def memory(self) -> dict[str, float]:
-        """Steps since points were sorted."""
+        """Number of steps since points were sorted."""
         return {"unsorted": float(self._unsorted)}
 
     @memory.setter
@@ -325,7 +325,7 @@ class OnLattice:
         self._unsorted = int(values["unsorted"])
 
     def facts(self) -> Facts:
-        """Which part of the residual goes which way."""
+        """Return which part of the residual is computed which way."""
         kernels = ["internal forces"]
         if self._sim.residual.gravity:
             kernels.append("gravity")

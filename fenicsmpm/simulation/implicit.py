@@ -43,61 +43,62 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 logger = logging.getLogger(__name__)
 
 
-# Iterations of Newton's method that make a load step an easy one
+# Number of Newton iterations up to which a load step counts as easy
 _EASY = 5
 
 
 class ImplicitMPM(Described):
-    """Updated Lagrangian dynamics of material points on a background mesh that stays.
+    """Updated Lagrangian dynamics of material points on a fixed background mesh.
 
-    A step is ``map_to_grid``, ``predict``, ``solve``, ``map_to_points`` and ``convect``, which a
-    loop of one's own may call, too.
+    A step consists of the stages ``map_to_grid``, ``predict``, ``solve``, ``map_to_points`` and
+    ``convect``. A user's own loop may call them, too.
 
     Args:
-        R: residual, with inertia from the scheme.
-        unknown: its unknown, with a part that moves the points; what they carry is mapped to
-            ``unknown.old`` at the beginning of a step. Its conditions are set for each step. Or
-            several ``coupled_unknowns``, of bodies in contact.
-        scheme: time scheme of the same unknown; one for each, all of one kind, of several.
-        bodies: material points with the fields of ``set_initial_state``; of several unknowns, a
+        R: Residual, with inertia from the scheme.
+        unknown: Unknown of the residual, with a part that moves the points. Fields of the points
+            are mapped to ``unknown.old`` at the beginning of a step. The conditions of the unknown
+            are set for each step. Bodies in contact have several ``coupled_unknowns``.
+        scheme: Time scheme of the same unknown; with several unknowns one for each, all of one
+            kind.
+        bodies: Material points with the fields of ``set_initial_state``; with several unknowns a
             body or a sequence of bodies for each.
-        carried: further points that move with the grid, such as those that carry loads; each gets
-            a field "u" if it has none. Of several unknowns, a sequence for each.
-        bcs: further Dirichlet conditions of dolfinx, whose displacement is the share
-            ``scheme.share`` of the step's increment (1 but for ``GeneralizedAlpha``); ``data`` sets
-            those that move.
-        updates: for each body, more fields to be updated at the end of a step, beside those that
-            the residual needs and ``PointField.renew`` says: UFL over its points, or functions that
-            return new arrays.
-        data: called with the times at the beginning and end of the motion u, to set boundary values
-            by it, and loads: those of its end, where equations hold, or of its middle for
-            ``Midpoint``.
-        taylor: continue velocities linearly from points to nodes when they are mapped, see
-            ``transfer.project``; otherwise as in the paper.
-        on_exit: what happens to points that leave the mesh: "error", "delete" or "clamp".
-        observers: called around the steps, in their order: ``Observer``s, or functions of the
-            simulation and the ``Step`` that was done, such as one that corrects weights. Their
-            errors end a run after a step that was done.
-        newton: options of ``NewtonSolver``.
+        carried: Further points that move with the grid, such as those that carry loads. Each set
+            gets a field "u" if it has none. With several unknowns a sequence for each.
+        bcs: Further Dirichlet conditions of dolfinx. Their displacement is ``scheme.share`` times
+            the step's increment (1 except for ``GeneralizedAlpha``). ``data`` updates those that
+            change in time.
+        updates: For each body, more fields to be updated at the end of a step, in addition to
+            those that the residual needs and ``PointField.renew`` defines: UFL over its points,
+            or functions that return new arrays.
+        data: Function of the times at the beginning and end of the motion u. It sets boundary
+            values of this motion, and loads: those at its end, where equations hold, or at its
+            middle for ``Midpoint``.
+        taylor: Whether velocities are extrapolated linearly from points to nodes when they are
+            mapped, see ``transfer.project``. The paper does not do so.
+        on_exit: Treatment of points that leave the mesh: "error", "delete" or "clamp".
+        observers: ``Observer`` objects called around the steps in their order, or functions of the
+            simulation and the finished ``Step``, such as one that corrects weights. An error in an
+            observer ends the run after a complete step.
+        newton: Options of ``NewtonSolver``.
 
     Raises:
-        ValueError: for a scheme of another unknown, no bodies, bodies without their fields or of
-            which none has points, unknowns that are not coupled or not as many as there are of the
-            rest, points that move by two unknowns, a displacement on the boundary that does not
-            say how it depends on time, updates of points or fields that are not there, fields that
-            are renewed twice, tied nodes of other bodies, or another ``on_exit``.
+        ValueError: For a scheme of another unknown, no bodies, bodies without their fields or
+            without any points, unknowns that are not coupled or differ in number from the other
+            arguments, points that move by two unknowns, a displacement on the boundary that is not
+            a function of time, updates of points or fields that do not exist, fields that are
+            renewed twice, tied nodes of other bodies, or an unknown value of ``on_exit``.
 
     Attributes:
-        unknowns: as above, also of one.
-        schemes: as above, also of one.
-        unknown: the first of them.
-        scheme: the first of them.
-        rigid: rigid bodies in the residual.
-        time: [s].
-        number: of steps done.
-        laws: law at the points of each body that has one in the residual.
-        next_dt: length of the next step that ``run`` will try [s].
-        seconds: time spent in each stage so far [s].
+        unknowns: All unknowns, also if there is one.
+        schemes: All schemes, also if there is one.
+        unknown: The first unknown.
+        scheme: The first scheme.
+        rigid: Rigid bodies in the residual.
+        time: Time in s.
+        number: Number of steps done.
+        laws: Law at the points of each body that has one in the residual.
+        next_dt: Length in s of the next step that ``run`` will try.
+        seconds: Computing time spent in each stage so far, in s.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class ImplicitMPM(Described):
         observers: Sequence[Watcher] = (),
         newton: Mapping[str, Any] | None = None,
     ) -> None:
-        """Compile the residual, its tangent and the updates (collective)."""
+        """Compile the residual, its tangent and the updates. Collective."""
         tying: Tying | None = (newton or {}).get("tying")
         self._motions = motions_of(unknown, scheme, bodies, carried, taylor, tying)
         self.unknowns = [motion.unknown for motion in self._motions]
@@ -145,8 +146,8 @@ class ImplicitMPM(Described):
         }
         if tying is not None and set(self.bodies) != set(tying.bodies):
             raise ValueError(
-                "nodes are tied by the cells that the bodies of the simulation fill together: give "
-                "Tying all of them, and no other"
+                "the bodies of the simulation fill cells together, which decides on tied nodes: "
+                "give Tying all of them, and no other"
             )
         moving = [*self.bodies, *self.carried]
         self._volumes = [
@@ -173,15 +174,16 @@ class ImplicitMPM(Described):
     # --- stages ------------------------------------------------------------------------------
 
     def map_to_grid(self) -> None:
-        """P2G: histories of the scheme by its mass, those of the unknown by lumped mass."""
+        """Map fields to the grid: histories of the scheme by its mass, others by lumped mass."""
         fixed = _compat.fixed_dofs(self.newton.bcs)
         for motion in self._motions:
             motion.map_to_grid(fixed)
 
     def predict(self) -> None:
-        """Start Newton's method from the histories and a motion that goes on as it was.
+        """Set the start of Newton's method from the histories, and continue the present motion.
 
-        At nodes of little mass that may turn cells inside out; then it starts from no motion.
+        Where nodes have little mass, this may turn cells inside out. Newton's method then starts
+        without motion.
         """
         x = self.unknown.U.x.array
         for motion in self._motions:
@@ -197,16 +199,16 @@ class ImplicitMPM(Described):
                 break
 
     def _least_stretch(self) -> float:
-        """Smallest det f of all points (collective)."""
+        """Return the smallest det f of all points. Collective."""
         least = min(float(np.min(j.evaluate(), initial=1.0)) for j in self._volumes)
         return self.unknown.mesh.comm.allreduce(least, MPI.MIN)
 
     def solve(self) -> NewtonResult:
-        """Find the increment of displacement and the pressure on the grid."""
+        """Solve for the increment of displacement and the pressure on the grid."""
         return self.newton.solve()
 
     def map_to_points(self) -> dict[MaterialPoints, dict[str, npt.NDArray[np.float64]]]:
-        """G2P: new fields of all points, and their new positions "x"; nothing is assigned yet."""
+        """Evaluate new fields of all points, with new positions "x"; nothing is assigned yet."""
         new = {points: update.evaluate() for points, update in self._updates.items()}
         for points, fields in new.items():
             increment = fields["x"]
@@ -215,13 +217,16 @@ class ImplicitMPM(Described):
         return new
 
     def convect(self, new: Mapping[MaterialPoints, Mapping[str, npt.NDArray[np.float64]]]) -> int:
-        """Assign new fields, move all points, and take the new volumes as weights.
+        """Assign new fields, move all points, and set the new volumes as weights.
+
+        Args:
+            new: New fields of each point set, as ``map_to_points`` returns them.
 
         Returns:
-            How many points left the mesh and were deleted, or held back for the first time.
+            Number of points that left the mesh and were deleted, or held back for the first time.
 
         Raises:
-            NewtonError: points are turned inside out; nothing was assigned.
+            NewtonError: If points are turned inside out; nothing is assigned then.
         """
         least = min(float(np.min(new[body]["J"], initial=1.0)) for body in self.bodies)
         least = self.unknown.mesh.comm.allreduce(least, MPI.MIN)
@@ -238,15 +243,15 @@ class ImplicitMPM(Described):
     # --- steps -------------------------------------------------------------------------------
 
     def step(self, dt: float | None = None) -> Step:
-        """Do one step; if it fails, points and time are as they were before it (collective).
+        """Do one step. If it fails, points and time are as they were before it. Collective.
 
         Args:
-            dt: its length [s]; None for ``next_dt``.
+            dt: Length of the step in s; None for ``next_dt``.
 
         Raises:
-            NewtonError: the equations could not be solved.
-            LinearSolverError: velocities could not be mapped with the consistent mass.
-            PointsOutsideError: points left the mesh.
+            NewtonError: If the equations cannot be solved.
+            LinearSolverError: If velocities cannot be mapped with the consistent mass.
+            PointsOutsideError: If points leave the mesh.
         """
         dt = self.next_dt if dt is None else dt
         check_time_step(dt)
@@ -299,37 +304,37 @@ class ImplicitMPM(Described):
         smallest: float = 1e-3,
         largest: float | None = None,
     ) -> Iterator[Step]:
-        """Steps until a time; one that cannot be solved is tried again with half its length.
+        """Do steps until a time. A step that cannot be solved is tried again with half its length.
 
-        After a success, the step grows again up to the length that it had at first.
+        After a success, the step length grows again up to its initial value.
 
         Args:
-            until: end [s].
-            step_length: gives the greatest length of each step [s] instead, such as
-                ``solvers.CourantStep`` (collective).
-            smallest: share of the greatest length below which there is no use in trying.
-            largest: length up to which steps grow where Newton's method has an easy task, for load
-                steps [s]; None for the length at first.
+            until: End in s.
+            step_length: Function that returns the greatest length of each step in s instead, such
+                as ``solvers.CourantStep``. Collective.
+            smallest: Fraction of the greatest length below which the loop gives up.
+            largest: Length in s up to which steps grow if Newton's method converges easily, for
+                load steps; None for the initial length.
 
         Yields:
             Each step that was done.
 
         Raises:
-            NewtonError: a step of the smallest length failed as well.
-            LinearSolverError, PointsOutsideError: as ``step``.
-            ValueError: for an end that is not finite.
+            NewtonError: If a step of the smallest length fails, too.
+            LinearSolverError, PointsOutsideError: As for ``step``.
+            ValueError: For an end that is not finite.
         """
         if not math.isfinite(until):
             raise ValueError(f"the end of a run must be finite: {until} s")
         attempts = 1
         while until - self.time > 1e-9 * self._dt:
             if step_length is not None and attempts == 1:
-                # where no failure has cut it, the last step has had the greatest length
+                # unless a failure has cut it, the last step had the greatest length
                 was_cut = self.next_dt < self._dt
                 self._dt = step_length()
                 self.next_dt = min(self.next_dt, self._dt) if was_cut else self._dt
             left = until - self.time
-            # what is left is not to become a last step of nearly no length
+            # the rest must not become a last step of nearly no length
             dt = left if left < 1.001 * self.next_dt else self.next_dt
             number = self.number
             try:
@@ -350,11 +355,11 @@ class ImplicitMPM(Described):
             yield step
 
     def settle(self) -> None:
-        """Nothing: all points are up to date after each step."""
+        """Do nothing: all points are up to date after each step."""
 
     @property
     def linear(self) -> LinearSolver:
-        """What solves the linear systems: by which method, in how many iterations and seconds."""
+        """Solver of the linear systems, with its method, iterations and computing time."""
         return self.newton.linear
 
     @property
@@ -364,12 +369,12 @@ class ImplicitMPM(Described):
 
     @property
     def parameters(self) -> dict[str, str]:
-        """What the script has chosen, for checkpoints."""
+        """Return choices of the script, for checkpoints."""
         return {"residual": self._described, **of_points([*self.bodies, *self.carried])}
 
     @property
     def memory(self) -> dict[str, float]:
-        """What the next step depends on, beside the points, for checkpoints."""
+        """Numbers that the next step depends on, in addition to the points, for checkpoints."""
         dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt, "longest": self._dt}
         return {**dt, **memory_of_schemes(self._motions), **memory_of(self.rigid)}
 
@@ -396,13 +401,13 @@ class ImplicitMPM(Described):
         return sets, dict(self.exits.held)
 
     def _restore(self, snapshot: Any) -> None:
-        """Without communication: an error on one rank only must get out of here."""
+        """Restore a snapshot without communication: the error may be on one rank only."""
         sets, self.exits.held = snapshot
         for points, arrays, size_global in sets:
             points.restore(arrays, size_global)
 
     def _set_data(self, length: float) -> None:
-        """Set boundary values, and what the user sets, for a motion of some length [s]."""
+        """Set boundary values and the user's data for a motion of some length in s."""
         for z, known in zip(self.unknowns, self._fixed, strict=True):
             z.require_conditions(known)
             z.set_conditions(self.time, self.time + length)
@@ -412,11 +417,11 @@ class ImplicitMPM(Described):
             self.data(self.time, self.time + length)
 
     def _start(self) -> None:
-        """Find accelerations at the start by a step in which they are constant; nothing moves.
+        """Find initial accelerations by a step in which they are constant; nothing moves.
 
-        A load that is there from the beginning would otherwise act late by half a step. The step
-        has the usual length: where dt is far less than the time that shear waves take through a
-        cell, tau_1 no longer fits the problem.
+        Otherwise a load that acts from the beginning would be delayed by half a step. This step has
+        the usual length: if dt is far less than the time that shear waves take through a cell,
+        tau_1 does not fit the problem.
         """
         schemes: Sequence[Any] = self.schemes
         if not hasattr(schemes[0], "start_up"):
@@ -449,19 +454,19 @@ class ImplicitMPM(Described):
         ]
 
     def __repr__(self) -> str:
-        """The same as is printed."""
+        """Return the same text as printing."""
         return str(self)
 
 
 def _check_times(renewed: Mapping[MaterialPoints, Mapping[str, Any]], scheme: TimeScheme) -> None:
-    """Raise ValueError for a state of the end of a step where equations hold before."""
-    # a fluid renews F itself, at the end of the step; normals of carried points have no stress
+    """Raise ValueError for states at the end of a step if equations hold before the end."""
+    # a fluid updates F itself at the end of the step; normals of carried points have no stress
     if scheme.share != 1 and any(
         fields and "F" in points and "F" not in fields for points, fields in renewed.items()
     ):
         raise ValueError(
-            "a stress with a state or of two configurations is found where equations hold, and its "
-            "state belongs to the end of the step: GeneralizedAlpha cannot be used with it"
+            "GeneralizedAlpha cannot be used with a stress that has a state or depends on two "
+            "configurations: its state belongs to the end of the step, but equations hold before"
         )
     if scheme.share != 1 and any(n.startswith(SLIP) for fields in renewed.values() for n in fields):
         raise ValueError(
@@ -471,11 +476,11 @@ def _check_times(renewed: Mapping[MaterialPoints, Mapping[str, Any]], scheme: Ti
 
 
 def _check_conditions(unknown: Unknown) -> None:
-    """Raise ValueError for displacements that each step would add again (collective)."""
+    """Raise ValueError for displacements that each step would add again. Collective."""
     for condition in unknown.conditions:
         if condition.moves_again():
             raise ValueError(
                 f"a displacement of the boundary by part {condition.part!r} that does not depend "
                 "on time would be added again in each step: give it as a function of time, such as "
-                'fix("u", where, lambda t: (0.1 * t, 0)), whose increments the loop takes'
+                'fix("u", where, lambda t: (0.1 * t, 0)); the loop takes its increments'
             )

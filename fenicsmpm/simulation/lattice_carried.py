@@ -24,12 +24,12 @@ class Carried:
     """Points without material that move with the grid, and may carry forces.
 
     Args:
-        points: boundary points with a field "u".
-        kind: of grid functions.
+        points: Boundary points with a field "u".
+        kind: Kind of the grid functions.
     """
 
     def __init__(self, points: MaterialPoints, kind: int) -> None:
-        """Make the kernels, which are compiled at first use."""
+        """Prepare the kernels, which are compiled at first use."""
         dim = points.mesh.geometry.dim
         self.points = points
         kernels = carriers(dim, kind)
@@ -38,20 +38,20 @@ class Carried:
         self._x: Array | None = None
 
     def begin(self) -> None:
-        """Take the present positions."""
+        """Copy the current positions."""
         self._order = plain_order(len(self.points))
         self._x = in_blocks(self.points.x, self._order)
         self._version = self.points.version
 
     @property
     def is_changed(self) -> bool:
-        """Whether somebody has changed the set of points."""
+        """Return whether somebody has changed the set of points."""
         return self.points.version != self._version
 
     def find(self, nodes: Nodes) -> tuple[Integers, Integers]:
-        """First and last nodes ``(n_tiles, 3)`` that points of each tile may see.
+        """Return first and last nodes ``(n_tiles, 3)`` that points of each tile may see.
 
-        They may until tiles are laid anew.
+        This holds until tiles are built anew.
         """
         width, dim = WIDTH[self._kind], self.points.mesh.geometry.dim
         x, margin = self.positions, MARGIN[dim]
@@ -63,28 +63,28 @@ class Carried:
 
     @property
     def positions(self) -> Array:
-        """Where the points are, ``(n, d)`` [m]."""
+        """Return the positions of the points in m, ``(n, d)``."""
         assert self._x is not None
         return out_of_blocks(self._x, self._order, len(self.points), self.points.x.shape[1:])
 
     def add_forces(
         self, force: Array, rows: Array, forces: Array, nodes: Nodes, ids: Integers
     ) -> int:
-        """Add forces ``(n, d)`` [N] to those of the nodes ``(n_tiles, nodes, 3)``.
+        """Add forces ``(n, d)`` in N to those of the nodes ``(n_tiles, nodes, 3)``.
 
         Returns:
-            A point without any mass at its nodes; or -1.
+            A point without any mass at its nodes, or -1.
         """
         return self._add_forces(
             nodes, ids, self._half, self._x, force, flat(rows), forces.reshape(-1, 3)
         )  # fmt: skip
 
     def follow(self, rows: Array, nodes: Nodes, ids: Integers, dt: float) -> tuple[int, bool]:
-        """Move with the updated nodes.
+        """Move the points with the updated nodes.
 
         Returns:
-            A point that has left the lattice, or -1; and whether one has gone further than tiles
-            are laid.
+            A point that has left the lattice, or -1; and whether a point has moved beyond the
+            tiles.
         """
         bad, strays = self._follow(
             nodes, ids, self._half, self._x, len(self.points), self._t_low, self._t_high,
@@ -93,16 +93,16 @@ class Carried:
         return int(bad), bool(strays)
 
     def describe(self, point: int, what: str) -> str:
-        """Which point it is, and where."""
+        """Return a message with the point and its position."""
         x = self.positions[point]
         return (
             f"point {self.points.id[point]} of a load {what} at {np.array2string(x, precision=6)}"
         )
 
     def settle(self) -> None:
-        """Bring cells and displacements up to date (collective).
+        """Bring cells and displacements up to date. Collective.
 
-        What somebody has changed since stays.
+        Changes by others since then are kept.
         """
         points = self.points
         if points.mesh.comm.allreduce(self.is_changed, MPI.LOR):
@@ -114,12 +114,12 @@ class Carried:
 
 
 def flat(tiles: Array) -> Array:
-    """Rows of all tiles, one after the other."""
+    """Return the rows of all tiles, one after the other."""
     return tiles.reshape(-1, COLUMNS)
 
 
 def half_size(points: MaterialPoints) -> Array:
-    """Half of the points' size in units of cells, ``(3,)``, which only uGIMP needs (collective)."""
+    """Return half of the points' size in cells, ``(3,)``, for uGIMP only. Collective."""
     half = np.full(3, 0.5)
     if points.grid_functions is not None:
         given = half_size_in_cells(points.mesh, *points.grid_functions)

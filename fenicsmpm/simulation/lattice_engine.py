@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Explicit steps of bodies on a lattice in phases: what a time loop does one after the other.
+"""Explicit steps of bodies on a lattice in phases, which a time loop calls one after the other.
 
-A block of steps is ``begin``, for each step ``sum_nodes``, forces, ``move_nodes``, ``gather``,
-``average`` and ``finish``, and at last ``settle``. In between, the points are as they were. Each
-rank has the tiles of the lattice (`fenicsmpm.transfer.tiles`) that its points may reach, and the
-right sums in all of them.
+A block of steps consists of ``begin``; for each step ``sum_nodes``, forces, ``move_nodes``,
+``gather``, ``average`` and ``finish``; and finally ``settle``. Meanwhile the points stay as they
+were. Each rank has the tiles of the lattice (`fenicsmpm.transfer.tiles`) that its points may reach,
+with the sums of all ranks in all of them.
 """
 
 from __future__ import annotations
@@ -45,17 +45,18 @@ class LatticeEngine:
     """Bodies and loads on a lattice, and the phases of their steps.
 
     Args:
-        V: space of velocities, linear, with d components.
-        bodies: with their laws.
-        fbars: averages of J of each body, or None.
-        carried: points that move along, and may carry forces.
-        kind: of grid functions.
+        V: Space of velocities, linear, with d components.
+        bodies: Bodies with their laws.
+        fbars: Averages of J of each body, or None.
+        carried: Points that move along, and may carry forces.
+        kind: Kind of the grid functions.
 
     Attributes:
-        parts: the bodies.
-        carried: points that move along.
-        nodes: of the lattice.
-        rows: ``(n_tiles, nodes of a tile, 8)``, sums of all bodies on all ranks, see `grid`.
+        parts: The bodies.
+        carried: Points that move along.
+        nodes: Nodes of the lattice.
+        rows: Sums of all bodies on all ranks, ``(n_tiles, nodes of a tile, 8)``, see
+            `fenicsmpm.transfer.grid_rows`.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class LatticeEngine:
         carried: Sequence[MaterialPoints],
         kind: int,
     ) -> None:
-        """Check the fields of points (collective)."""
+        """Check the fields of points. Collective."""
         self._V, self._kind, self._comm = V, kind, V.mesh.comm
         self._dim = V.mesh.geometry.dim
         self.nodes: Nodes = nodes_of(lattice_of(V.mesh))
@@ -79,7 +80,7 @@ class LatticeEngine:
         self._sum_forces: Sums | None = None
         self._all_dofs: DofLink | None = None
         self._numbers = NodeNumbers(V)
-        # nodes of functions, by id, that are not zero since they were written
+        # for functions by id, the nodes whose values are not zero since they were last written
         self._written: dict[int, npt.NDArray[np.int32]] = {}
         self._strays = False
 
@@ -91,12 +92,12 @@ class LatticeEngine:
         bcs: Sequence[fem.DirichletBC],
         slips: Sequence[str],
     ) -> None:
-        """Take working copies of the points, and add them to the nodes (collective).
+        """Make working copies of the points, and add them to the nodes. Collective.
 
         Args:
-            laws: of the bodies, of the kinds that they had, with other parameters if wanted.
+            laws: Laws of the bodies, of the same kinds as before, possibly with other parameters.
             bcs: Dirichlet conditions on velocities.
-            slips: names of the bodies' fields of elastic slip on rigid bodies.
+            slips: Names of the bodies' fields of slip on rigid bodies.
         """
         self._supports = Supports(self._V, bcs, self._numbers)
         for load in self.carried:
@@ -113,7 +114,7 @@ class LatticeEngine:
         self._reaches += [load.find(self.nodes) for load in self.carried]
 
     def _lay(self) -> None:
-        """Make the tiles that the points can reach, and add the points to the nodes."""
+        """Build the tiles that the points can reach, and add the points to the nodes."""
         nodes = self.nodes
         first, last = (np.concatenate(ends) for ends in zip(*self._reaches, strict=True))
         layout = lay(first, last, nodes)
@@ -144,18 +145,18 @@ class LatticeEngine:
         self._sums = self._sum_forces = None
 
     def defer(self) -> None:
-        """Have the points of bodies ask for what has changed when somebody looks at it."""
+        """Defer the changed fields of the points until somebody reads them."""
         for part in self.parts:
             part.defer()
 
     @property
     def is_looked_at(self) -> bool:
-        """Whether somebody has looked at what was deferred, or changed points, on this rank."""
+        """Return whether somebody read deferred fields, or changed points, on this rank."""
         changed = any(load.is_changed for load in self.carried)
         return changed or any(part.is_looked_at for part in self.parts)
 
     def drop(self) -> None:
-        """Forget a block of steps; the points stay as they are."""
+        """Discard a block of steps; the points stay as they are."""
         self._free()
         self.rows = self._forces = np.empty((0, 0, 0))
         for part in self.parts:
@@ -163,10 +164,10 @@ class LatticeEngine:
             part.drop()
 
     def settle(self, sort: bool) -> None:
-        """Give the points what has changed, and bring their cells up to date (collective).
+        """Write the changes to the points, and bring their cells up to date. Collective.
 
         Args:
-            sort: whether points with the same nodes are to stand one after the other.
+            sort: Whether to store points with the same nodes next to each other.
         """
         self._free()
         self.rows = self._forces = np.empty((0, 0, 0))
@@ -178,34 +179,34 @@ class LatticeEngine:
     # --- phases of a step ----------------------------------------------------------------------
 
     def read_supports(self) -> None:
-        """Take the present values of Dirichlet conditions (collective)."""
+        """Read the current values of Dirichlet conditions. Collective."""
         self._supports.read()
 
     def support_forces(self) -> Callable[[], tuple[npt.NDArray[np.int32], Array]]:
-        """What finds the forces of Dirichlet conditions in this step (collective, when called)."""
+        """Return a collective function for the forces of Dirichlet conditions in this step."""
         return self._supports.forces_at_dofs()
 
     def push(self, slip: str, rigid: RigidBody, dt: float, total: Array) -> list[str]:
-        """Contact forces of a rigid body to the nodes, and to totals, on this rank.
+        """Add contact forces of a rigid body to the nodes, and to totals, on this rank.
 
         Args:
-            slip: name of the field of elastic slip on it.
-            rigid: the body.
-            dt: time step [s].
-            total: ``(8,)``, see `fenicsmpm.transfer.contact`.
+            slip: Name of the field of slip on it.
+            rigid: The body.
+            dt: Time step in s.
+            total: Totals ``(8,)``, see `fenicsmpm.transfer.contact`.
 
         Returns:
-            What is wrong, on this rank.
+            Error messages of this rank.
         """
         contact = rigid.contact()
         bad = [part.push(slip, contact, dt, total) for part in self.parts]
         return [f"a point is inside of the rigid body {rigid.name}"] if max(bad) >= 0 else []
 
     def sum_nodes(self, gravity: Mapping[MaterialPoints, fem.Constant]) -> None:
-        """Mass, momentum, internal force and weight of all bodies on all ranks (collective).
+        """Sum mass, momentum, internal force and weight of all bodies on all ranks. Collective.
 
         Args:
-            gravity: force per mass [m/s^2] on bodies; none on those that are not there.
+            gravity: Force per mass on bodies in m/s^2; bodies that are missing have none.
         """
         if len(self.parts) > 1:
             grid.clear(self.rows)
@@ -221,7 +222,7 @@ class LatticeEngine:
         grid.masses(self.rows, self._bounds)
 
     def relieve_light_nodes(self) -> None:
-        """Move the points' own forces from nodes of nearly no mass to those around them."""
+        """Move the points' own forces from nodes with nearly no mass to those around them."""
         self._relieve(self.rows, grid.FORCE, of_loads=False)
 
     def _relieve(self, forces: Array, column: int, of_loads: bool) -> None:
@@ -233,14 +234,14 @@ class LatticeEngine:
     def add_loads(
         self, loads: Mapping[MaterialPoints, Array], at_nodes: Array | None = None
     ) -> list[str]:
-        """Add forces at carried points, and some that are known at dolfinx' nodes (collective).
+        """Add forces at carried points, and forces given at dolfinx' nodes. Collective.
 
         Args:
-            loads: ``(n, d)`` [N] at points that carry some.
-            at_nodes: ``(n, d)`` [N] of the nodes of V that this rank owns, in their order.
+            loads: Forces in N at points that carry some, ``(n, d)``.
+            at_nodes: Forces in N of the nodes of V that this rank owns, in their order, ``(n, d)``.
 
         Returns:
-            What is wrong, on this rank.
+            Error messages of this rank.
         """
         if self._sum_forces is None and at_nodes is None:
             return []
@@ -268,7 +269,7 @@ class LatticeEngine:
         return messages
 
     def _without_material(self, at_nodes: Array) -> list[str]:
-        """What is wrong with forces ``(n, d)`` at owned nodes, and with those in tiles."""
+        """Return messages on forces ``(n, d)`` at nodes without mass, owned ones or in tiles."""
         outside = (at_nodes != 0).any(axis=1)
         outside[self._dofs[self._dof_link().asked]] = False
         idle = (self.rows[:, :, grid.MASS] == 0) & (self._forces != 0).any(axis=2)
@@ -283,10 +284,10 @@ class LatticeEngine:
         return [force_without_material(where[: self._dim])]
 
     def add_forces(self, forces: Array) -> None:
-        """Add forces of points of bodies that are known at dolfinx' nodes (collective).
+        """Add forces of points of bodies that are given at dolfinx' nodes. Collective.
 
         Args:
-            forces: ``(n, d)`` [N] of the nodes of V that this rank owns, in their order.
+            forces: Forces in N of the nodes of V that this rank owns, in their order, ``(n, d)``.
         """
         link = self._dof_link()
         nodal = np.zeros((len(self.rows), self.nodes.per_tile, 3))
@@ -295,10 +296,10 @@ class LatticeEngine:
         self.rows[:, :, grid.FORCE :] += nodal
 
     def move_nodes(self, dt: float, damping: float) -> Array:
-        """From mass, momentum and forces to velocities of the nodes.
+        """Compute velocities of the nodes from mass, momentum and forces.
 
         Returns:
-            The part of the reactions ``(3,)`` [N] that this rank counts.
+            The part of the reactions ``(3,)`` in N that this rank counts.
         """
         rows, fixed = self.rows, self._supports.now
         forces = grid.reactions(rows, dt, *fixed, self._sharing.counted)
@@ -308,10 +309,10 @@ class LatticeEngine:
         return np.bincount(fixed[1], forces, minlength=3).astype(np.float64)
 
     def move_loads(self, dt: float) -> list[str]:
-        """Loads go with the nodes.
+        """Move loads with the nodes.
 
         Returns:
-            What is wrong, on this rank.
+            Error messages of this rank.
         """
         bad = []
         for load in self.carried:
@@ -321,10 +322,10 @@ class LatticeEngine:
         return _describe(self.carried, bad, "leaves the lattice")
 
     def gather(self, dt: float, flip: float) -> list[str]:
-        """Velocities, positions and F of the points from the nodes, and J back to them.
+        """Update velocities, positions and F of the points from the nodes, and add J to these.
 
         Returns:
-            What is wrong, on this rank.
+            Error messages of this rank.
         """
         messages = []
         for part in self.parts:
@@ -335,10 +336,10 @@ class LatticeEngine:
         return messages
 
     def hold_back(self, slip: str, rigid: RigidBody, dt: float, total: Array) -> list[str]:
-        """Keep points out of a rigid body at its new place, on this rank, see ``push``.
+        """Keep points out of a rigid body in its new position, on this rank, see ``push``.
 
         Returns:
-            What is wrong, on this rank.
+            Error messages of this rank.
         """
         messages, contact = [], rigid.contact()
         for part in self.parts:
@@ -349,10 +350,10 @@ class LatticeEngine:
         return messages
 
     def deform(self, dt: float) -> list[str]:
-        """With linear functions: F of the points from their velocities mapped back (collective).
+        """Update F from velocities mapped back to the nodes, for linear functions. Collective.
 
         Returns:
-            What is wrong, on this rank.
+            Error messages of this rank.
         """
         if not self.parts[0].maps_back:
             return []
@@ -373,21 +374,22 @@ class LatticeEngine:
 
     @property
     def strays(self) -> bool:
-        """Whether a point of this rank has left its tiles: ``finish`` has to lay them anew."""
+        """Return whether a point of this rank has left its tiles: ``finish`` must rebuild them."""
         return self._strays
 
     def average(self) -> None:
-        """Average J at the nodes (collective)."""
+        """Average J at the nodes. Collective."""
         for part in self.parts:
             part.average()
 
     def finish(self, again: bool, keep: bool, anew: bool) -> None:
-        """Stresses and new positions; the points to the nodes, if another step may follow.
+        """Compute stresses and new positions, and add the points to the nodes for another step.
 
         Args:
-            again: whether another step may follow in this block.
-            keep: whether somebody may look at the stresses of this step.
-            anew: tiles must be laid anew, because there are ``strays`` on any rank; collective.
+            again: Whether another step may follow in this block.
+            keep: Whether somebody may read the stresses of this step.
+            anew: Whether to build tiles anew, because there are ``strays`` on any rank; this is
+                collective.
         """
         for part in self.parts:
             part.finish(again and not anew, keep or (again and anew))
@@ -398,18 +400,18 @@ class LatticeEngine:
     # --- nodal fields ------------------------------------------------------------------------
 
     def write(self, name: str, function: fem.Function) -> None:
-        """A nodal field as a function on V or on its scalar companion (collective).
+        """Write a nodal field to a function on V or on its scalar companion. Collective.
 
         Args:
-            name: "mass", "momentum" [kg m/s] and "force" [N] between ``sum_nodes`` and
-                ``move_nodes``, "mass", "velocity" [m/s] and "increment" (of the velocity) from
+            name: "mass" in kg, "momentum" in kg m/s and "force" in N between ``sum_nodes`` and
+                ``move_nodes``; "mass", "velocity" in m/s and "increment" (of the velocity) from
                 there to ``average``.
-            function: to be set, ghosts too; zero where there are no tiles.
+            function: Result, ghosts included; zero where there are no tiles.
         """
         self._write(self._column(name), function)
 
     def keep(self, name: str) -> Callable[[fem.Function], None]:
-        """What writes a nodal field as it is now to a function that is zero (collective, both)."""
+        """Return a function that writes the current nodal field later; both are collective."""
         link, dofs, values = self._dof_link(), self._dofs, self._column(name).copy()
 
         def write(function: fem.Function) -> None:
@@ -424,7 +426,7 @@ class LatticeEngine:
         return self.rows.reshape(-1, 8)[:, column : column + n]
 
     def write_average(self, body: int, function: fem.Function) -> None:
-        """Averaged J of a body as a scalar function, between ``average`` and ``finish``."""
+        """Write the averaged J of a body to a function, between ``average`` and ``finish``."""
         part = self.parts[body]
         values = np.zeros((self.rows.shape[0], self.nodes.per_tile, 1))
         values[self._places[body]] = part.averages
@@ -441,7 +443,7 @@ class LatticeEngine:
         function.x.scatter_forward()
 
     def _dof_link(self) -> DofLink:
-        """From the owned nodes ``_dofs`` in tiles of any rank to these."""
+        """Return the link from the owned nodes ``_dofs`` in tiles of any rank to these tiles."""
         if self._all_dofs is None:
             tiles = np.unique(np.concatenate(self._comm.allgather(self._layout.ids)))
             self._dofs, positions = self._numbers.owned_in(tiles, self.nodes)

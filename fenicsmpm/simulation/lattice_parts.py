@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies of some material in an explicit simulation on a lattice."""
+"""Bodies with one material each in an explicit simulation on a lattice."""
 
 from __future__ import annotations
 
@@ -50,26 +50,26 @@ Array = npt.NDArray[np.float64]
 class Part:
     """A body and its law.
 
-    Between ``begin`` and ``settle``, steps work on arrays of their own, and the points are as they
-    were: dolfinx' cells are not needed in a step, nor displacements and stresses.
+    Between ``begin`` and ``settle``, steps work on arrays of their own, and the points stay as they
+    were: a step needs neither dolfinx' cells nor displacements and stresses of the points.
 
     Args:
-        points: the body.
-        law: its law.
-        kind: of grid functions.
-        fbar: averages of J, or None.
-        nodes: of the lattice.
+        points: The body.
+        law: Its law.
+        kind: Kind of the grid functions.
+        fbar: Averages of J, or None.
+        nodes: Nodes of the lattice.
 
     Attributes:
-        rows: ``(n_tiles, nodes of a tile, 8)``, what its points give to the nodes.
-        maps_back: whether points are deformed by their new velocities, mapped back to the nodes,
+        rows: Contributions of its points to the nodes, ``(n_tiles, nodes of a tile, 8)``.
+        maps_back: Whether points are deformed by their new velocities, mapped back to the nodes,
             see `fenicsmpm.transfer.light_nodes`.
     """
 
     def __init__(
         self, points: MaterialPoints, law: Law, kind: int, fbar: FBar | None, nodes: Nodes
     ) -> None:
-        """Take what the steps need."""
+        """Store what the steps need."""
         dim = points.mesh.geometry.dim
         self.points, self._law, self._fbar = points, law, fbar
         self._dim, self._rates, self._kind = dim, law.needs_rate, kind
@@ -125,12 +125,12 @@ class Part:
         self._body = Body(**old)
 
     def settle_down(self, everything: Layout, shared: Sharing, own: bool) -> Layout:
-        """Take the tiles that the points need, after ``sort`` (collective).
+        """Get the tiles that the points need, after ``sort``. Collective.
 
         Args:
-            everything: tiles of all bodies and loads.
-            shared: who has them.
-            own: whether to have a layout of its own, because there are other bodies.
+            everything: Tiles of all bodies and loads.
+            shared: Ranks that have them.
+            own: Whether the body needs its own layout, because there are other bodies.
 
         Returns:
             The body's tiles.
@@ -170,22 +170,22 @@ class Part:
         if self._walls_of is not None:
             self._walls = self._walls_of.in_tiles(layout.ids, nodes)
         if self._fbar is not None:
-            # of one body, they are summed up with the other columns
+            # for a single body, they are summed up with the other columns
             self._sum_volumes = Sums(sharing, 1) if own else None
             self._sum_averages = Sums(sharing, 1)
         return layout
 
     def drop(self) -> None:
-        """Forget the working arrays of a block that has failed."""
+        """Discard the working arrays of a block that has failed."""
         self._body, self._sigma, self._slips = None, np.empty((0, LANES)), {}
 
     @property
     def averages(self) -> Array:
-        """Averaged J ``(n_tiles, nodes, 1)``; of no tiles if none are taken."""
+        """Return the averaged J ``(n_tiles, nodes, 1)``; without tiles if J is not averaged."""
         return self._sums
 
     def free(self) -> None:
-        """Give back what MPI keeps for the block."""
+        """Free the MPI requests of the block."""
         for sums in (self._sum_volumes, self._sum_averages):
             if sums is not None:
                 sums.free()
@@ -193,22 +193,22 @@ class Part:
     # --- steps -------------------------------------------------------------------------------
 
     def begin(self, law: Law, slips: Sequence[str]) -> None:
-        """Take working copies of what steps change, in the order of ``sort``.
+        """Make working copies of what steps change, in the order of ``sort``.
 
         The points stay as they are.
 
         Args:
-            law: with its parameters as they are now.
-            slips: names of fields of elastic slip on rigid bodies.
+            law: The law with its current parameters.
+            slips: Names of fields of slip on rigid bodies.
 
         Raises:
-            ValueError: for a law of another kind than the first.
+            ValueError: For a law of another kind than the first one.
         """
         if law.update is not self._law.update:
-            raise ValueError(f"a body's law may change its parameters only: {law}")
+            raise ValueError(f"only the parameters of a body's law may change, not its kind: {law}")
         points, d, order = self.points, self._dim, self._order
         n = len(points)
-        # the largest first, since blocks are made by way of copies
+        # the largest first, since making blocks needs temporary copies
         F, F33 = _plane_parts(points["F"], d, law.is_fluid)
         J_0 = np.empty(0) if self._fbar is None else points["J_0"]
         J_0 = J_0[:0] if np.all(J_0 == 1) else J_0
@@ -232,11 +232,11 @@ class Part:
         )
         self._sigma = in_blocks(points["sigma"], order)
         self._slips = {name: in_blocks(points[name], order) for name in slips}
-        self._reference: Array | None = None  # initial positions, if those at the beginning go
+        self._reference: Array | None = None  # initial positions, if those at the beginning change
         self._version = points.version
 
     def _kernels_for(self, has_F33: bool, has_J_0: bool) -> Kernels:
-        """The kernels, which are compiled at first use."""
+        """Return the kernels, which are compiled at first use."""
         law = self._law
         return transfers(
             self._dim, self._kind, law.update, law.update_eight, law.n_state, law.needs_rate,
@@ -244,7 +244,7 @@ class Part:
         )  # fmt: skip
 
     def scatter(self) -> None:
-        """Add the points with the stresses that are known to the nodes."""
+        """Add the points with their known stresses to the nodes."""
         self._kernels.scatter(
             self._units, self._nodes, self._half, self._working, self._sigma, flat(self._all_rows)
         )
@@ -252,21 +252,21 @@ class Part:
 
     @property
     def _working(self) -> Body:
-        """Working arrays, which are there between ``begin`` and ``settle``."""
+        """Working arrays, which exist between ``begin`` and ``settle``."""
         assert self._body is not None
         return self._body
 
     def push(self, slip: str, contact: Contact, dt: float, total: Array) -> int:
-        """Contact forces of a rigid body to the nodes, and to its totals.
+        """Add contact forces of a rigid body to the nodes, and to its totals.
 
         Args:
-            slip: name of the field of elastic slip on it, which need not be there.
-            contact: the body as it is now.
-            dt: time step [s].
-            total: ``(8,)``, see `fenicsmpm.transfer.contact`.
+            slip: Name of the field of slip on it, which need not exist.
+            contact: The body in its current state.
+            dt: Time step in s.
+            total: Totals ``(8,)``, see `fenicsmpm.transfer.contact`.
 
         Returns:
-            A block with a point inside of the body; or -1.
+            A block with a point inside the body, or -1.
         """
         body = self._working
         return int(
@@ -277,10 +277,10 @@ class Part:
         )  # fmt: skip
 
     def hold_back(self, slip: str, contact: Contact, dt: float, total: Array) -> tuple[int, bool]:
-        """Keep points out of a rigid body at its new place, see ``push``.
+        """Keep points out of a rigid body in its new position, see ``push``.
 
         Returns:
-            A block with a point that has left the lattice by this, or -1; and whether a point has
+            A block with a point that leaves the lattice by this, or -1; and whether a point has
             left its window.
         """
         body = self._working
@@ -294,13 +294,13 @@ class Part:
         return self._slips.get(name, np.empty((0, LANES)))
 
     def gather(self, rows: Array, dt: float, flip: float) -> tuple[int, bool]:
-        """Velocities, positions and F from the nodes of all bodies, and J to its own.
+        """Update velocities, positions and F from the nodes of all bodies, and add J to its own.
 
         Returns:
             A block with a point that is inverted, not finite or outside, or -1; and whether a point
             has left its window.
         """
-        self._sigma = np.empty((0, LANES))  # of the step before
+        self._sigma = np.empty((0, LANES))  # drop those of the previous step
         self._all_sums[:] = 0.0
         return self._pass(
             self._kernels.move if self.maps_back else self._kernels.gather, rows, dt, flip
@@ -317,14 +317,14 @@ class Part:
         return int(bad), bool(strays)
 
     def map_back(self) -> Array:
-        """Mass and momentum of the moved points, where they were, ``(n_tiles, nodes, 8)``."""
+        """Return mass and momentum of moved points at old positions, ``(n_tiles, nodes, 8)``."""
         back = grid.tile_rows(len(self._all_rows), self._nodes.per_tile)
         self._kernels.momenta(self._units, self._nodes, self._half, self._working, flat(back))
         grid.merge(back, self._copies)
         return back[: self._n_tiles]
 
     def deform(self, rows: Array, dt: float) -> int:
-        """F from velocities that were mapped back, and J to the body's nodes.
+        """Update F from velocities that were mapped back, and add J to the body's nodes.
 
         Returns:
             A block with a point that is inverted, or -1.
@@ -332,7 +332,7 @@ class Part:
         return self._pass(self._kernels.deform, rows, dt, 1.0)[0]
 
     def average(self) -> None:
-        """Average J at the nodes, and clear the rows for the next step (collective)."""
+        """Average J at the nodes, and clear the rows for the next step. Collective."""
         if self._sum_averages is None:
             grid.clear(self.rows)
             return
@@ -346,11 +346,11 @@ class Part:
         continue_to_walls(self._sums.ravel(), self._volumes.ravel(), self._walls)
 
     def finish(self, again: bool, keep: bool) -> None:
-        """Stresses and new positions.
+        """Compute stresses and new positions.
 
         Args:
-            again: whether to add the points to the nodes, for another step.
-            keep: whether to keep the stresses.
+            again: Whether to add the points to the nodes, for another step.
+            keep: Whether to keep the stresses.
         """
         body, average = self._working, self._fbar is not None
         self._sigma = empty_rows(9 * len(body.mass) if keep else 0, LANES)
@@ -364,9 +364,10 @@ class Part:
 
     @property
     def near_border(self) -> Array:
-        """Where points are that may be in cells of other ranks, ``(n, d)`` [m], some repeatedly.
+        """Return positions in m of points that may be in other ranks' cells, ``(n, d)``.
 
-        The others can not have come so far in the windows of their units.
+        Some occur repeatedly. The other points cannot have come so far in the windows of their
+        units.
         """
         if self._border is None:
             home = stays_home(self._units, self._nodes, locator(self.points.mesh).geometry)
@@ -375,7 +376,7 @@ class Part:
         return x.transpose(0, 2, 1).reshape(-1, self._dim)
 
     def bad_stress(self) -> int:
-        """A block with a stress that is not finite after the last step; or -1."""
+        """Return a block with a stress that is not finite after the last step, or -1."""
         if np.isfinite(self._sigma.sum()):
             return -1
         bad = np.flatnonzero(~np.isfinite(self._sigma).all(axis=1))
@@ -383,13 +384,13 @@ class Part:
 
     @property
     def changing(self) -> list[str]:
-        """Fields that steps change."""
+        """Names of the fields that steps change."""
         averaged = [] if self._fbar is None else ["J_bar"]
         of_law = [*averaged, *self._law.state]
         return ["x", "u", "v", "F", "J", "weight", "sigma", *of_law, *self._slips]
 
     def provide(self, name: str) -> dict[str, Array]:
-        """New arrays of a field that steps change, and of those that come with it."""
+        """Return new arrays of a field that steps change, and of those that come with it."""
         body, n, d, order = self._working, len(self.points), self._dim, self._order
         if name == "x":
             return {"x": out_of_blocks(body.x, order, n, (d,))}
@@ -420,7 +421,7 @@ class Part:
         return {"F": F, "J": J, "weight": J * self.points["V_0"]}
 
     def defer(self) -> None:
-        """Have the points ask for what has changed when somebody looks at it."""
+        """Defer the changed fields of the points until somebody reads them."""
         if self._reference is None:
             self._reference = self.points.x - self.points["u"]
         self.points.defer(self.changing, self.provide)
@@ -428,19 +429,19 @@ class Part:
 
     @property
     def is_looked_at(self) -> bool:
-        """Whether somebody has looked at what was deferred, or has changed the set of points."""
+        """Return whether somebody read deferred fields, or changed the set of points."""
         points = self.points
         return points.version != self._version or not points.present().keys().isdisjoint(
             self.changing
         )
 
     def settle(self, sort: bool) -> None:
-        """Give the points what has changed, and bring their cells up to date (collective).
+        """Write the changes to the points, and bring their cells up to date. Collective.
 
-        What somebody has written since fields were deferred stays.
+        Fields that somebody has written since they were deferred are kept.
 
         Args:
-            sort: whether points with the same nodes are to stand one after the other.
+            sort: Whether to store points with the same nodes next to each other.
         """
         points = self.points
         self.free()
@@ -459,8 +460,8 @@ class Part:
     def _give_back(self) -> None:
         points, none = self.points, np.empty((0, LANES))
         new = [name for name in self.changing if name not in points.changed]
-        # This is where memory peaks: what the points had goes first, and then each working array
-        # before the next one is read. Displacements count from the positions that the points had.
+        # Memory peaks here. The old fields are dropped first, then each working array before the
+        # next one is read. Displacements are relative to the positions that the points had.
         self._body = self._working._replace(x_next=none)
         if "u" in new:
             points.assign(self.provide("u"))
@@ -486,18 +487,18 @@ class Part:
         points.move(x)
 
     def describe(self, block: int) -> str:
-        """What is wrong with a point of a block, and where it is."""
+        """Return what is wrong with a point of a block, and where it is."""
         d, body, nodes = self._dim, self._working, self._nodes
         of_block = self._order[block * LANES : (block + 1) * LANES]
         of_block = of_block[of_block >= 0]
         ids, one = self.points.id[of_block], plain_order(len(of_block))
-        # the last step is over where there are stresses to look at
+        # if there are stresses to inspect, the last step is over
         over = len(self._sigma) > 0
         x_next = body.x if over else body.x_next
         x = out_of_blocks(x_next[block * d : (block + 1) * d], one, len(ids), (d,))
         F = out_of_blocks(body.F[block * d * d : (block + 1) * d * d], one, len(ids), (d, d))
         v = out_of_blocks(body.v[block * d : (block + 1) * d], one, len(ids), (d,))
-        J = np.linalg.det(F) + 0 * v.sum(axis=1)  # no number, if one of both is none
+        J = np.linalg.det(F) + 0 * v.sum(axis=1)  # NaN if either is
         if len(body.F33):
             J *= out_of_blocks(body.F33[block : block + 1], one, len(ids))
         t = (x - nodes.origin[:d]) * nodes.per_metre[:d]
@@ -521,18 +522,18 @@ class Part:
 
 
 def _plane_parts(F: Array, dim: int, is_fluid: bool) -> tuple[Array, Array]:
-    """``(n, d, d)`` of deformation gradients, and stretches out of the plane unless all are 1."""
+    """Return deformation gradients ``(n, d, d)``, and out-of-plane stretches unless all are 1."""
     F33 = F[:, 2, 2]
     if dim == 3 or np.all(F33 == 1):
         return F[:, :dim, :dim], np.empty(0)
-    if is_fluid:  # of which only J matters
+    if is_fluid:  # only J matters
         return np.sqrt(determinants(F))[:, None, None] * np.eye(2), np.empty(0)
     return F[:, :2, :2], F33
 
 
 @njit(parallel=True)
 def determinants(F):  # type: ignore[no-untyped-def]
-    """Determinants ``(n,)`` of ``(n, 3, 3)``."""
+    """Return determinants ``(n,)`` of ``(n, 3, 3)``."""
     J = np.empty(len(F))
     for p in numba.prange(len(F)):
         a = F[p]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What moves by the same displacement in implicit steps: bodies and carried points."""
+"""Bodies and carried points with one displacement in implicit steps."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ class Motion:
     """Bodies, and points that they carry, which move by one unknown and time scheme.
 
     Args:
-        unknown: with a part that moves the points.
-        scheme: of this unknown.
-        bodies: which get the fields that unknown and scheme need, where they have none.
-        carried: points that move along.
-        taylor: see ``ImplicitMPM``.
-        tying: tied nodes of the whole space, or None.
+        unknown: Unknown with a part that moves the points.
+        scheme: Time scheme of this unknown.
+        bodies: Bodies; they get the fields that unknown and scheme need, if they have none.
+        carried: Points that move along.
+        taylor: See ``ImplicitMPM``.
+        tying: Tied nodes of the whole space, or None.
 
     Attributes:
-        unknown: as above.
-        scheme: as above.
-        bodies: as above.
-        carried: as above.
-        histories: parts of the unknown that bodies carry.
-        dofs: places of the moving part in the solution.
+        unknown: As above.
+        scheme: As above.
+        bodies: As above.
+        carried: As above.
+        histories: Parts of the unknown that bodies carry.
+        dofs: Places of the moving part in the solution.
 
     Raises:
-        ValueError: for no body, a scheme of another unknown, bodies without their fields, and
-            functions by which velocities cannot be mapped.
+        ValueError: For no body, a scheme of another unknown, bodies without their fields, and
+            functions with which velocities cannot be mapped.
     """
 
     def __init__(
@@ -52,13 +52,13 @@ class Motion:
         taylor: bool,
         tying: Tying | None,
     ) -> None:
-        """Add fields, and compile the mass by which velocities are mapped (collective)."""
+        """Add fields, and compile the mass by which velocities are mapped. Collective."""
         if not bodies or scheme.unknown is not unknown:
             raise ValueError("ImplicitMPM needs a body, and a time scheme of the same unknown")
         self.unknown, self.scheme, self._taylor = unknown, scheme, taylor
         self.bodies, self.carried = list(bodies), list(carried)
         self.histories = [part for part in unknown.parts if part.role == "history"]
-        assert unknown.moving is not None  # else there were no scheme
+        assert unknown.moving is not None  # or there would be no scheme
         self.dofs = unknown.dofs(unknown.moving)
         self._projection: EffectiveProjection | None = None
         mapped = [part.name for part in self.histories]
@@ -68,7 +68,7 @@ class Motion:
             unknown.require_linear("mapping by the lumped mass", *mapped)
         if scheme.lumping < 1:
             if taylor:
-                raise ValueError("velocities are continued with the lumped mass only: lumping = 1")
+                raise ValueError("taylor=True needs a scheme with the lumped mass: set lumping=1")
             space = unknown.part_space(unknown.moving)
             if tying is not None:
                 tying = tying.of(self.bodies, space)
@@ -91,10 +91,10 @@ class Motion:
                 points.add_field("u", (dim,))
 
     def map_to_grid(self, fixed: npt.NDArray[np.integer]) -> None:
-        """Map histories of the scheme by its mass, those of the unknown by lumped mass.
+        """Map histories of the scheme by its mass, and those of the unknown by lumped mass.
 
         Args:
-            fixed: dofs of the solution with Dirichlet conditions.
+            fixed: Dofs of the solution with Dirichlet conditions.
         """
         functions = {part.name: getattr(self.unknown.old, part.name) for part in self.histories}
         if self._projection is None:
@@ -105,16 +105,16 @@ class Motion:
         project(self.bodies, functions, gradients={"v": "grad_v"} if self._taylor else {})
 
     def start_from_histories(self) -> None:
-        """Set the parts of the solution to what was mapped, and those without history to zero."""
+        """Set the parts of the solution to the mapped values, and parts without history to zero."""
         z = self.unknown
         for part in z.parts:
             value = getattr(z.old, part.name).x.array if part in self.histories else 0.0
             z.U.x.array[z.dofs(part.name)] = value
 
     def new_fields(self, points: MaterialPoints) -> dict[str, Any]:
-        """What a body or carried points get at the end of a step, whatever the residual."""
+        """Return the fields that bodies and carried points get in each step of any residual."""
         increment = self.scheme.increment
-        fields = {"x": increment}  # of which positions and displacements are sums
+        fields = {"x": increment}  # to be added to positions and displacements
         if points in self.bodies:
             k = Kinematics(increment, points)
             fields |= {"F": k.F, "J": k.J}
@@ -138,11 +138,11 @@ def motions_of(
     taylor: bool,
     tying: Tying | None,
 ) -> list[Motion]:
-    """Motions of a simulation, see ``ImplicitMPM`` (collective).
+    """Return the motions of a simulation, see ``ImplicitMPM``. Collective.
 
     Raises:
-        ValueError: for sequences of different lengths, unknowns that are not coupled, points that
-            move twice, schemes of other kinds, and as ``Motion``.
+        ValueError: For sequences of different lengths, unknowns that are not coupled, points that
+            move twice, schemes of different kinds, and as for ``Motion``.
     """
     if isinstance(unknowns, Unknown) and isinstance(schemes, TimeScheme):
         return [Motion(unknowns, schemes, _sets(bodies), carried, taylor, tying)]
@@ -153,8 +153,8 @@ def motions_of(
     lengths = [len(given) for given in (unknowns, schemes, bodies, carried)]
     if len({*lengths}) > 1:
         raise ValueError(
-            f"{lengths[0]} unknowns, {lengths[1]} time schemes, bodies of {lengths[2]} unknowns "
-            f"and carried points of {lengths[3]}: give as many of each, in the same order"
+            f"there are {lengths[0]} unknowns, {lengths[1]} time schemes, bodies of {lengths[2]} "
+            f"unknowns and carried points of {lengths[3]}: give as many of each, in the same order"
         )
     if any(z.U is not unknowns[0].U for z in unknowns):
         raise ValueError("unknowns that are solved for together are made by coupled_unknowns(..)")
@@ -175,7 +175,7 @@ def _sets(points: MaterialPoints | Sequence[MaterialPoints]) -> list[MaterialPoi
 
 
 def memory_of_schemes(motions: Sequence[Motion]) -> dict[str, float]:
-    """What time schemes remember, as numbers with names."""
+    """Return the memory of time schemes as numbers with names."""
     return {
         f"{name} of scheme {k}" if k > 0 else name: value
         for k, motion in enumerate(motions)
@@ -184,7 +184,7 @@ def memory_of_schemes(motions: Sequence[Motion]) -> dict[str, float]:
 
 
 def remember_schemes(motions: Sequence[Motion], values: Mapping[str, float]) -> None:
-    """Give time schemes what ``memory_of_schemes`` has found."""
+    """Restore what ``memory_of_schemes`` returned."""
     for k, motion in enumerate(motions):
         end = f" of scheme {k}" if k > 0 else ""
         own = {
@@ -196,12 +196,12 @@ def remember_schemes(motions: Sequence[Motion], values: Mapping[str, float]) -> 
 
 
 def _add_history(body: MaterialPoints, part: Part, dim: int) -> None:
-    """Give a body the field of a part of the unknown, if it may be added."""
+    """Add the field of a part of the unknown to a body, if that is possible."""
     if part.name in body:
         return
     if part.initial is None:
         raise ValueError(
-            f"a body without the field {part.name!r}, of which the unknown's part has its history: "
+            f"a body lacks the field {part.name!r}, the history of a part of the unknown: call "
             f"body.add_field({part.name!r}, shape, values), or give the Part an initial value"
         )
     body.add_field(part.name, (dim,) if part.is_vector else (), part.initial)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the nodes have of bodies that share velocities, in explicit steps by forms."""
+"""Nodal fields of bodies that share velocities, in explicit steps by forms."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ class NodalField:
     """Mass, velocity and force of bodies at all local nodes.
 
     Args:
-        bodies: what happens at their points, ``BodyByForms``.
-        form: of the residual's integrals over their points; None for none.
-        shape: ``(n_nodes, d)``.
+        bodies: Updates of the bodies' points, ``BodyByForms``.
+        form: The residual's integrals over these points; None for none.
+        shape: Shape ``(n_nodes, d)`` of nodal vectors.
 
     Attributes:
-        mass: ``(n_nodes,)`` [kg].
-        velocity: ``(n_nodes, d)`` [m/s].
-        force: ``(n_nodes, d)`` [N].
-        increment: ``(n_nodes, d)`` by which the velocity changes in a step [m/s].
-        straining: ``(n_nodes, d)`` velocity whose gradient deforms the points [m/s].
+        mass: Mass in kg, ``(n_nodes,)``.
+        velocity: Velocity in m/s, ``(n_nodes, d)``.
+        force: Force in N, ``(n_nodes, d)``.
+        increment: Change of the velocity in a step in m/s, ``(n_nodes, d)``.
+        straining: Velocity in m/s whose gradient deforms the points, ``(n_nodes, d)``.
     """
 
     def __init__(self, bodies: Sequence[Any], form: Any, shape: tuple[int, int]) -> None:
-        """Nothing has mass yet."""
+        """Create fields without mass."""
         self.bodies, self.form = list(bodies), form
         self.mass: Array = np.zeros(shape[0])
         self.velocity: Array = np.zeros(shape)
@@ -48,7 +48,7 @@ class NodalField:
 
 
 def share_out(total: Array, fields: Sequence[NodalField]) -> None:
-    """Give forces at nodes ``(n_nodes, d)`` to the fields there, by their masses."""
+    """Distribute forces at nodes ``(n_nodes, d)`` to the fields there, by their masses."""
     mass = np.sum([field.mass for field in fields], axis=0)
     for field in fields:
         share = np.divide(field.mass, mass, out=np.ones_like(mass), where=mass > 0)
@@ -56,7 +56,7 @@ def share_out(total: Array, fields: Sequence[NodalField]) -> None:
 
 
 def mean(name: str, fields: Sequence[NodalField]) -> Array:
-    """Mean by mass of what the fields have, ``(n_nodes, d)``."""
+    """Return the mass-weighted mean of an attribute of the fields, ``(n_nodes, d)``."""
     first: Array = getattr(fields[0], name)
     if len(fields) == 1:
         return first
@@ -69,11 +69,11 @@ class ContactsOfFields:
     """Contacts between fields.
 
     Args:
-        contacts: between bodies.
-        fields: such that bodies in contact are in different ones.
-        space: of velocities (collective).
-        scalars: of a scalar on the same nodes.
-        light_nodes: of the same space.
+        contacts: Contacts between bodies.
+        fields: Fields; bodies in contact belong to different ones.
+        space: Space of velocities. Collective.
+        scalars: Space of a scalar on the same nodes.
+        light_nodes: Redistribution of forces for the same space.
     """
 
     def __init__(
@@ -95,18 +95,17 @@ class ContactsOfFields:
         self._forces: dict[tuple[int, int], Array] = {}
 
     def _number(self, points: MaterialPoints) -> int:
-        """Of the field of a body."""
+        """Return the number of the field of a body."""
         return next(
             k for k, f in enumerate(self._fields) if any(b.points is points for b in f.bodies)
         )
 
     def push(self, rate: float, dt: float) -> None:
-        """Add normal forces to those of the fields (collective).
+        """Add normal forces to the forces of the fields. Collective.
 
         Args:
-            rate: square of the frequency at which contacts push back in units of their stiffness,
-                see ``Contact`` [1/s^2].
-            dt: step, in which no contact may push back faster than once [s].
+            rate: Square of the frequency in 1/s^2 that the stiffness of a ``Contact`` refers to.
+            dt: Length of the step in s; no contact may push back faster than once per step.
         """
         self._grips = []
         if self._interfaces is None:
@@ -141,11 +140,11 @@ class ContactsOfFields:
                 contact.gap = self._space.mesh.comm.allreduce(least, MPI.MIN)
 
     def rub(self, fixed: npt.NDArray[np.bool_], dt: float) -> None:
-        """Change the velocities of all fields by friction (collective).
+        """Change the velocities of all fields by friction. Collective.
 
         Args:
-            fixed: ``(n_nodes, d)`` prescribed components.
-            dt: step [s].
+            fixed: Mask of prescribed components, ``(n_nodes, d)``.
+            dt: Length of the step in s.
         """
         masses = [field.mass for field in self._fields]
         impulses = rub(self._grips, masses, [field.velocity for field in self._fields], fixed)
@@ -158,6 +157,6 @@ class ContactsOfFields:
                 contact.force = total
 
     def nodal_forces(self, contact: Contact) -> Array:
-        """Of a contact on its second body in the last step, ``(n_nodes, d)`` [N]."""
+        """Return forces in N of a contact on its second body in the last step, ``(n_nodes, d)``."""
         pair = (self._number(contact.first), self._number(contact.second))
         return self._forces.get(pair, np.zeros_like(self._fields[0].velocity))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a script has chosen, in words that checkpoints record and compare."""
+"""Choices of a script as texts, which checkpoints record and compare."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fenicsmpm.points import MaterialPoints
 
 
 def of_residual(R: ufl.Form) -> str:
-    """A digest of a form with all numbers in it; what ``fem.Constant``s have is not in it.
+    """Return a digest of a form with all numbers in it, but without values of ``fem.Constant``.
 
     Args:
-        R: residual.
+        R: Residual.
     """
     projected = [c.sums for c in R.coefficients() if isinstance(c, LumpedProjection)]
     said = "".join(form.signature() for form in (R, *projected))
@@ -25,10 +25,10 @@ def of_residual(R: ufl.Form) -> str:
 
 
 def of_points(point_sets: Sequence[MaterialPoints]) -> dict[str, str]:
-    """Grid functions that point sets see, as ``basis.use`` has chosen.
+    """Return the grid functions of point sets, as chosen by ``basis.use``.
 
     Args:
-        point_sets: bodies and carried points.
+        point_sets: Bodies and carried points.
     """
     said = {}
     for k, points in enumerate(point_sets):

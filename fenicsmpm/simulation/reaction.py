@@ -16,31 +16,40 @@ from fenicsmpm.simulation.step import Step
 
 
 class Reaction(Observer):
-    """Sum of what a condition does to the bodies, as ``observers=[reaction]`` of any loop.
+    """Total reaction of a Dirichlet condition, as ``observers=[reaction]`` of any loop.
 
     Nodes of several conditions count for each of them.
 
     Args:
-        condition: made by ``Unknown.fix``.
+        condition: Condition made by ``Unknown.fix``.
 
     Attributes:
-        value: in the last step: force on the bodies ``(d,)`` [N] where the part moves the points or
-            is their velocity, else the flux into them, ``(1,)`` for a scalar part, in the
-            residual's units.
+        value: Reaction in the last step. It is the force on the bodies ``(d,)`` in N if the part
+            moves the points or is their velocity. Otherwise it is the flux into them, ``(1,)`` for
+            a scalar part, in the units of the residual.
     """
 
     def __init__(self, condition: Condition) -> None:
-        """Nothing is known yet."""
+        """Create the observer; the value is not known yet."""
         self._condition = condition
         self.value: npt.NDArray[np.float64] = np.full(condition.size, np.nan)
 
     def done(self, sim: Any, step: Step) -> None:
-        """Ask explicit steps; implicit ones have been asked when they had the residual."""
+        """Compute the reaction in explicit steps (implicit: ``solved``). Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if isinstance(sim, ExplicitMPM):
             self.value = sim.reaction_of(self._condition)
 
     def solved(self, sim: Any) -> None:
-        """Sum up the residual at the condition's nodes (collective)."""
+        """Sum up the residual at the condition's nodes. Collective.
+
+        Args:
+            sim: The simulation.
+        """
         residual = sim.newton.residual()
         held = _compat.bc_dofs(self._condition.bc)
         held = held[held < len(residual)]

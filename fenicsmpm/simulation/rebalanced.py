@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rebalanced: a simulation that is built anew on other ranks' cells when its points gather."""
+"""Rebalanced: a simulation that moves to a new distribution of cells when its points gather."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ from fenicsmpm.simulation.step import Step
 
 logger = logging.getLogger(__name__)
 
-# What a new mesh must promise at least: so much less than the most that a rank has now
+# A new mesh must reduce the largest number of points on a rank by at least this fraction.
 _WORTH_IT = 0.9
-# Steps from one question in vain to the next one at most: it costs less than a few of them
+# Largest number of steps between one useless question and the next: it costs less than a few steps.
 _LONGEST_WAIT = 100
 
 
 def imbalance(sim: Simulation) -> float:
-    """Points of the rank that has most, over the mean of all ranks (collective).
+    """Return the largest number of points on a rank over the mean of all ranks. Collective.
 
     Args:
-        sim: whose bodies and carried points count.
+        sim: Simulation whose bodies and carried points count.
 
     Returns:
-        From 1 to the number of ranks.
+        A number from 1 to the number of ranks.
     """
     points = point_sets(sim)
     here, mesh = sum(len(p) for p in points), points[0].mesh
@@ -58,32 +58,34 @@ def imbalance(sim: Simulation) -> float:
 
 
 class Rebalanced:
-    """A simulation that goes on elsewhere when its points have gathered on few ranks.
+    """A simulation that is redistributed when its points have gathered on few ranks.
 
-    A mesh cannot be spread anew in place. So a new one is made of the same cells, shared out by
-    the points in them; ``build`` builds the simulation on it as at the start, and gets the state of
-    the old one: what a checkpoint has. It goes on as if nothing had happened, to round-off, or
-    where systems are solved by iterations, to the tolerance of Newton's method. Grid functions
-    have their values again after the next step. On one rank nothing is ever done.
+    A mesh cannot be redistributed in place. A new one is therefore made of the same cells,
+    distributed by the points in them. ``build`` builds the simulation on it as at the start, and
+    the new simulation gets the state of the old one, as from a checkpoint. It continues as if
+    nothing had happened, to round-off, or to the tolerance of Newton's method if linear systems are
+    solved iteratively. Grid functions have their values again after the next step. On one rank
+    nothing is ever done.
 
     Args:
-        build: function of a mesh, and of tags on it if there are any, that makes all that hangs on
-            the mesh and returns the simulation. Observers that outlast a mesh, such as an
-            ``io.History``, are made outside of it.
-        mesh: background mesh at first.
-        tags: of entities of the mesh, such as those that Gmsh brings; they go along.
-        most: points of the rank that has most over the mean from which on ``run`` spreads them
-            anew, if that takes a tenth off that rank. If not, as where a few cells hold all
-            points, it asks again after 1, 2, 4, .. steps, 100 at most.
+        build: Function of a mesh, and of tags on it if there are any, that makes everything that
+            depends on the mesh and returns the simulation. Observers that outlast a mesh, such as
+            an ``io.History``, must be made outside of it.
+        mesh: Initial background mesh.
+        tags: Tags of entities of the mesh, such as those from Gmsh; they move along.
+        most: Points of the fullest rank over the mean from which on ``run`` redistributes them, if
+            that reduces this rank's points by a tenth. If it does not, for example because a few
+            cells hold all points, ``run`` tries again after 1, 2, 4, ... steps, 100 at most.
 
     Raises:
-        TypeError: on all ranks, for ``build`` that does not return a simulation.
-        ValueError: on all ranks, for ``most`` that is not above 1, or a simulation on another mesh.
+        TypeError: On all ranks, if ``build`` does not return a simulation.
+        ValueError: On all ranks, if ``most`` is not above 1, or the simulation is on another mesh.
 
     Attributes:
-        sim: the simulation now; its ``seconds`` go on, too, with those of "rebalance".
-        mesh: its mesh.
-        tags: on that.
+        sim: The current simulation. Its ``seconds`` continue those of the old one, with an entry
+            "rebalance".
+        mesh: The current mesh.
+        tags: The tags on this mesh.
     """
 
     def __init__(
@@ -93,10 +95,10 @@ class Rebalanced:
         *tags: MeshTags,
         most: float = 1.5,
     ) -> None:
-        """Build the simulation (collective)."""
+        """Build the simulation. Collective."""
         if not most > 1:
             raise ValueError(
-                f"most = {most}: it is over the mean, so it must be above 1, such as 1.5"
+                f"most must be above 1, as it is relative to the mean, such as 1.5, not {most}"
             )
         self._build, self._most = build, most
         self._wait = self._left = 0
@@ -104,27 +106,27 @@ class Rebalanced:
         self.sim = self._built(mesh, tags)
 
     def run(self, until: float, **options: Any) -> Iterator[Step]:
-        """Steps until a time, on a new mesh whenever points have gathered (collective).
+        """Do steps until a time, on a new mesh whenever points have gathered. Collective.
 
         Args:
-            until: end [s].
-            options: of the ``run`` of the loop. Where they need points, they take those of ``sim``
-                at that time.
+            until: End in s.
+            **options: Options of ``run`` of the time loop. Options that depend on points must use
+                those of the current ``sim``.
 
         Yields:
-            Each step as the loop does; ``sim`` is the simulation that has done it.
+            Each step of the loop; ``sim`` is the simulation that has done it.
 
         Raises:
-            Exception: as the loop does, and ``rebalance``.
+            Exception: As for the loop and for ``rebalance``.
         """
         steps: Iterator[Step] | None = None
         while True:
-            # a new mesh is of no use after the last step
+            # a new mesh is useless after the last step
             plan = self._better() if self.sim.time < until else None
             if plan is not None:
-                steps = None  # which would keep the old simulation
+                steps = None  # it would keep the old simulation alive
                 self._go_to(plan)
-                del plan  # which has the old mesh
+                del plan  # it refers to the old mesh
             if steps is None:
                 steps = self.sim.run(until, **options)
             step = next(steps, None)
@@ -133,18 +135,18 @@ class Rebalanced:
             yield step
 
     def rebalance(self) -> None:
-        """Spread the points anew, however they are now (collective).
+        """Redistribute the points, whatever their present distribution. Collective.
 
         Raises:
-            TypeError, ValueError: on all ranks, if ``build`` makes something else than before: on
+            TypeError, ValueError: On all ranks, if ``build`` makes something else than before: on
                 another mesh, with another time scheme, other point sets or fields. The simulation
-                is as it was.
+                does not change then.
         """
         if self.mesh.comm.size > 1:
             self._go_to(self._plan())
 
     def _better(self) -> Redistribution | None:
-        """A distribution that is worth a new mesh, if points have gathered (collective)."""
+        """Return a distribution that is worth a new mesh, if points have gathered. Collective."""
         if self._left > 0:
             self._left -= 1
             return None
@@ -159,13 +161,13 @@ class Rebalanced:
         return None
 
     def _plan(self) -> Redistribution:
-        """Where the cells are to go (collective)."""
+        """Return the new distribution of the cells. Collective."""
         count = self.mesh.topology.index_map(self.mesh.topology.dim).size_local
         points = [np.bincount(p.cell, minlength=count) for p in point_sets(self.sim)]
         return Redistribution(self.mesh, np.sum(points, axis=0))
 
     def _go_to(self, plan: Redistribution) -> None:
-        """Make the new mesh and the simulation on it, in the state of the old one (collective)."""
+        """Make the new mesh and the simulation on it, in the state of the old one. Collective."""
         start, old, most = time.perf_counter(), self.sim, imbalance(self.sim)
         state, mesh = take(old), plan.make()
         tags = tuple(tags_on(t, self.mesh, mesh) for t in self.tags)
@@ -181,7 +183,7 @@ class Rebalanced:
         self.sim, self.mesh, self.tags = sim, mesh, tags
         for name, seconds in old.seconds.items():
             sim.seconds.add(name, seconds)
-        # at the same moment on all ranks: what is left of the old one has communicators
+        # at the same moment on all ranks, since the rest of the old simulation has communicators
         del old, state, sets
         gc.collect()
         collect_garbage(mesh.comm)
@@ -192,7 +194,7 @@ class Rebalanced:
         )
 
     def _built(self, mesh: Mesh, tags: tuple[MeshTags, ...]) -> Simulation:
-        """What the user's function makes, if it is a simulation on this mesh (collective)."""
+        """Return what the user's function makes, if it is a simulation on this mesh. Collective."""
         sim = self._build(mesh, *tags)
         error: Exception | None = None
         if not isinstance(sim, Simulation):
@@ -201,15 +203,15 @@ class Rebalanced:
             )
         elif any(points.mesh is not mesh for points in point_sets(sim)):
             error = ValueError(
-                "build has made a simulation on another mesh: it gets the mesh, and makes points, "
-                "unknowns and conditions on that"
+                "build must make points, unknowns and conditions on the mesh that it gets, but the "
+                "simulation is on another mesh"
             )
         raise_together(mesh.comm, error)
         return sim
 
 
 def _check(old: Simulation, new: Simulation) -> None:
-    """Raise ValueError if a simulation cannot take the state of another one (collective)."""
+    """Raise ValueError if a simulation cannot take the state of another one. Collective."""
     described = [
         (sim.method, [fields_of(points) for points in point_sets(sim)]) for sim in (old, new)
     ]
@@ -224,12 +226,12 @@ def _check(old: Simulation, new: Simulation) -> None:
 
 
 def _at_home(points: MaterialPoints, arrays: Arrays, cells: npt.NDArray[np.int64]) -> Arrays:
-    """Arrays of points of the old mesh, sent to the ranks that own their cells (collective).
+    """Send arrays of points of the old mesh to the ranks that own their new cells. Collective.
 
     Args:
-        points: on the new mesh.
-        arrays: with the cells of the old one.
-        cells: where they are on the new one.
+        points: Points on the new mesh.
+        arrays: Arrays with the cells of the old mesh.
+        cells: Cells of the new mesh for those of the old one.
     """
     away = {**arrays, "cell": np.full_like(arrays["cell"], -1)}
     place = locator(points.mesh)

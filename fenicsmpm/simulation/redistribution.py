@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes of the same cells, spread over the ranks by the points in them."""
+"""Meshes of the same cells, distributed over the ranks by the points in them."""
 
 from __future__ import annotations
 
@@ -27,21 +27,22 @@ from fenicsmpm.points.migration import exchange
 
 
 class Redistribution:
-    """Another distribution of a mesh, before it is made.
+    """New distribution of a mesh, before it is made.
 
-    Cells keep their numbers, by which points on facets choose, and nodes their order in cells; the
-    old global numbers of nodes are the new mesh's ``input_global_indices``.
+    Cells keep their numbers, which decide to which cell points on facets belong. Nodes keep their
+    order in cells. The old global numbers of nodes are the ``input_global_indices`` of the new
+    mesh.
 
     Args:
-        mesh: the mesh as it is, of straight cells.
-        points: how many are in each cell that this rank owns, ``(n,)``.
+        mesh: The present mesh, of straight cells.
+        points: Number of points in each cell that this rank owns, ``(n,)``.
 
     Attributes:
-        points: how many each rank would have, ``(size,)``, the same on all ranks.
+        points: Number of points that each rank would have, ``(size,)``, the same on all ranks.
     """
 
     def __init__(self, mesh: Mesh, points: npt.NDArray[np.int64]) -> None:
-        """Share out the cells (collective)."""
+        """Distribute the cells. Collective."""
         self._old, comm, geometry = mesh, mesh.comm, cell_geometry(mesh)
         nodes = _compat.geometry_dofmap(mesh)[: geometry.num_owned]
         number = mesh.geometry.index_map().local_to_global
@@ -61,10 +62,10 @@ class Redistribution:
         comm.Allreduce(MPI.IN_PLACE, self.points)
 
     def make(self) -> Mesh:
-        """The new mesh (collective).
+        """Return the new mesh. Collective.
 
-        A mesh without ghost cells stays so; others get all cells that share a vertex with a rank's
-        own, which serves whatever those over facets serve.
+        A mesh without ghost cells gets none. Otherwise each rank gets all cells that share a vertex
+        with its own, which include those that share a facet.
         """
         old, owner = self._old, self._owner
         has_ghosts = _has_ghosts(old)
@@ -75,7 +76,7 @@ class Redistribution:
             return cpp.graph.AdjacencyList_int32(owner, np.arange(len(owner) + 1, dtype=np.int32))
 
         x = old.geometry.x[: old.geometry.index_map().size_local, : old.geometry.dim]
-        # a mesh of UFL belongs to one of dolfinx: the new one needs its own
+        # a UFL mesh belongs to one mesh of dolfinx: the new one needs its own
         element = old.ufl_domain().ufl_coordinate_element()
         new = create_mesh(old.comm, cells=self._nodes, x=x, e=element, partitioner=partitioner)
         new.name = old.name
@@ -83,12 +84,12 @@ class Redistribution:
 
 
 def tags_on(tags: MeshTags, old: Mesh, new: Mesh) -> MeshTags:
-    """Tags of a mesh on one that was made by ``Redistribution`` (collective).
+    """Transfer tags to a mesh made by ``Redistribution``. Collective.
 
     Args:
-        tags: numbers of entities, cells or facets say.
-        old: their mesh.
-        new: the other one.
+        tags: Tags of entities, such as cells or facets.
+        old: Mesh of the tags.
+        new: The new mesh.
     """
     topology, dim = old.topology, tags.dim
     for pair in ((dim, topology.dim), (topology.dim, dim)):
@@ -96,7 +97,7 @@ def tags_on(tags: MeshTags, old: Mesh, new: Mesh) -> MeshTags:
     owned = tags.indices < topology.index_map(dim).size_local
     kind = cpp.mesh.cell_entity_type(topology.cell_type, dim, 0)
     nodes = np.empty((0, cpp.mesh.cell_num_vertices(kind)), dtype=np.int32)
-    if np.any(owned):  # or dolfinx 0.9 divides by zero
+    if np.any(owned):  # dolfinx 0.9 would divide by zero otherwise
         nodes = entities_to_geometry(old, dim, tags.indices[owned])
     number = old.geometry.index_map().local_to_global
     found, values = distribute_entity_data(
@@ -109,11 +110,11 @@ def tags_on(tags: MeshTags, old: Mesh, new: Mesh) -> MeshTags:
 
 
 def cells_on(old: Mesh, new: Mesh) -> npt.NDArray[np.int64]:
-    """Cells of a mesh on one that was made by ``Redistribution`` (collective).
+    """Return where the cells of a mesh are on one made by ``Redistribution``. Collective.
 
     Args:
-        old: a mesh.
-        new: the other one.
+        old: The old mesh.
+        new: The new mesh.
 
     Returns:
         Global cell of the new mesh for each cell of the old one that this rank owns, ``(n,)``.
@@ -139,13 +140,13 @@ def cells_on(old: Mesh, new: Mesh) -> npt.NDArray[np.int64]:
 
 
 def _keeper(mesh: Mesh, key: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
-    """The rank that knows of each cell by its number: equal shares of them, in their order."""
+    """Return the rank that keeps track of each cell, by equal shares of the numbers."""
     cells = mesh.topology.index_map(mesh.topology.dim).size_global
     return (key * mesh.comm.size // cells).astype(np.int32)
 
 
 def _has_ghosts(mesh: Mesh) -> bool:
-    """Whether ranks see cells of others where theirs meet; True where none meet (collective)."""
+    """Return whether ranks have ghost cells where their cells meet; True without such places."""
     topology = mesh.topology
     vertices, cells = (topology.index_map(dim).num_ghosts for dim in (0, topology.dim))
     vertices, cells = mesh.comm.allreduce(vertices), mesh.comm.allreduce(cells)

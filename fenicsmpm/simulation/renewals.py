@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How fields of points get their values at the end of a step."""
+"""New values of point fields at the end of a step."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from fenicsmpm.points.point_field import ComputedField, PointField
 def renewals(
     form: ufl.Form, increments: Mapping[MaterialPoints, Any]
 ) -> dict[MaterialPoints, dict[str, Any]]:
-    """What the fields in a form say of how they are renewed, and the fields in that, and so on.
+    """Collect how the fields in a form are renewed, the fields in these new values, and so on.
 
     Args:
-        form: residual of a loop.
-        increments: of displacement in a step [m], UFL, of the loop's bodies and carried points.
+        form: Residual of a loop.
+        increments: Displacement increments of a step in m, UFL, by the loop's bodies and carried
+            points.
 
     Returns:
-        For each of the moving points, new values by the names of their fields: UFL over the points,
-        or functions that return arrays.
+        New values for each of the moving point sets by the names of its fields: UFL over the
+        points, or functions that return arrays.
 
     Raises:
-        ValueError: for a field that is renewed twice, or one of points that do not move.
+        ValueError: For a field that is renewed twice, or one of points that do not move.
     """
     found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in increments}
     said: dict[tuple[MaterialPoints, str], Any] = {}
@@ -47,13 +48,13 @@ def renewals(
         if field.renewals and points not in found:
             raise ValueError(
                 f"the field {field.name!r} changes in each step, but its points are neither bodies "
-                "nor carried points of this simulation: nobody would renew it"
+                "nor carried points of this simulation: pass them to it"
             )
         for name, value in field.renewals.items():
             if said.setdefault((points, name), value) is not value:
                 raise ValueError(
-                    f"the field {name!r} is renewed twice, in different ways: one stress or one "
-                    "call of renew(..) is to say how"
+                    f"the field {name!r} is renewed twice, in different ways: use one stress or "
+                    "one call of renew(..) for it"
                 )
             if name in found[points]:
                 continue
@@ -68,17 +69,17 @@ def renewals(
 def check_updates(
     updates: Mapping[MaterialPoints, Mapping[str, Any]], moving: Sequence[MaterialPoints]
 ) -> None:
-    """Raise ValueError for a user's updates that cannot be made.
+    """Raise ValueError for updates of the user that are impossible.
 
     Args:
-        updates: new fields at the end of a step.
-        moving: the loop's bodies and carried points.
+        updates: New fields at the end of a step.
+        moving: The loop's bodies and carried points.
     """
     for points, fields in updates.items():
         if points not in moving:
             raise ValueError(
-                "updates of points that are neither bodies nor carried: they do not move"
+                "updates are given for points that are neither bodies nor carried: they do not move"
             )
         unknown = sorted(name for name in fields if name not in points)
         if unknown:
-            raise ValueError(f"updates of the fields {unknown} that the points do not have")
+            raise ValueError(f"updates are given for fields that the points do not have: {unknown}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the residual of explicit steps consists of."""
+"""Decomposition of the residual of explicit steps."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from fenicsmpm.formulations.internal_force import (
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.point_field import PointField
 
-# Fields of carried points that change as they move
+# Fields of carried points that change as the points move
 _CHANGING = ("x", "u")
 
 
 class Residual:
-    """A residual of rank 1, taken apart into what the package knows and what it does not.
+    """Residual of rank 1, split into terms that the package knows and all others.
 
     Args:
-        R: the form.
-        velocity: grid function on whose space it is tested.
-        bodies: material points whose motion it describes.
-        carried: points that move along.
+        R: The form.
+        velocity: Grid function on whose space it is tested.
+        bodies: Material points whose motion it describes.
+        carried: Points that move along.
 
     Attributes:
-        form: the whole form.
-        stresses: stress by a law at points of each body that has one.
-        averages: how J is averaged, of each body for which it is.
-        internal: bodies whose internal force is the form's, by a law at points.
-        gravity: force per mass on a body [m/s^2], for bodies with such a term.
-        loads: force per weight of carried points, as UFL over them, for those with one that needs
-            no function on the grid.
-        elsewhere: all integrals but those over points of bodies; None for none.
-        rest_at_bodies: what is over points of bodies and neither internal force nor gravity; None
-            for nothing.
-        rest_elsewhere: what is elsewhere and no load; None for nothing.
+        form: The whole form.
+        stresses: Stress by a law at points, for each body that has one.
+        averages: Averages of J, for each body that has them.
+        internal: Bodies whose internal force in the form comes from a law at points.
+        gravity: Force per mass in m/s^2, for bodies with such a term.
+        loads: Force per weight of carried points as UFL over them, for points with such a term
+            that needs no function on the grid.
+        elsewhere: All integrals except those over points of bodies; None for none.
+        rest_at_bodies: Terms over points of bodies that are neither internal force nor gravity;
+            None for none.
+        rest_elsewhere: Terms elsewhere that are no load; None for none.
 
     Raises:
-        TypeError: for what is no form.
-        ValueError: for a form of another rank or on another space, for two laws at the points of a
-            body, and for stresses of points that are no body.
+        TypeError: If R is no form.
+        ValueError: For a form of another rank or on another space, two laws at the points of a
+            body, and stresses of points that are no body.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Residual:
         bodies: Sequence[MaterialPoints],
         carried: Sequence[MaterialPoints],
     ) -> None:
-        """Take it apart."""
+        """Split the form."""
         self.form = R
         w = _test_function(R, velocity)
         self.stresses: dict[MaterialPoints, CauchyStress] = {}
@@ -94,11 +94,11 @@ class Residual:
         self.rest_at_bodies, self.rest_elsewhere = _form(rest_at_bodies), _form(rest_elsewhere)
 
     def at(self, bodies: Sequence[MaterialPoints]) -> ufl.Form | None:
-        """All integrals over points of some bodies; None for none."""
+        """Return all integrals over points of some bodies; None for none."""
         return _form([i for i in self.form.integrals() if _is_over(i, bodies)])
 
     def _find_fields(self, bodies: Sequence[MaterialPoints]) -> None:
-        """Stresses and averages of the bodies."""
+        """Find stresses and averages of the bodies."""
         for field in self.form.coefficients():
             if not isinstance(field, CauchyStress | AveragedJ):
                 continue
@@ -106,17 +106,17 @@ class Residual:
             if points not in bodies:
                 raise ValueError(
                     f"the residual has the field {field.name!r} of points that are no body of this "
-                    "simulation: nobody would renew it"
+                    "simulation, so it would not be renewed: pass these points as a body"
                 )
             if isinstance(field, CauchyStress):
                 if points in self.stresses:
                     raise ValueError(
-                        "a body with two laws at its points: there is one internal_force a body; "
-                        "write further stresses in UFL"
+                        "a body has two laws at its points, but only one internal_force per body "
+                        "is possible: write further stresses in UFL"
                     )
                 self.stresses[points] = field
             if self.averages.setdefault(points, field.averages) != field.averages:
-                raise ValueError("averages of J of two kinds for one body")
+                raise ValueError("a body has two kinds of averages of J: use one")
 
 
 def _test_function(R: Any, velocity: fem.Function) -> ufl.Argument:
@@ -125,20 +125,20 @@ def _test_function(R: Any, velocity: fem.Function) -> ufl.Argument:
     arguments = R.arguments()
     if len(arguments) != 1:
         raise ValueError(
-            f"the residual of explicit steps must be of rank 1, not {len(arguments)}: it is tested "
-            "with one test function, and nothing in it is unknown (no trial function)"
+            f"the residual of explicit steps must be of rank 1, not {len(arguments)}: it needs "
+            "one test function, and no trial function"
         )
     space = arguments[0].ufl_function_space()
     if space != velocity.function_space:
         raise ValueError(
-            "the residual is tested on another function space than that of the velocity: use the "
+            "the residual must be tested on the function space of the velocity: use the "
             "unknown's test function, unknown.test.v"
         )
     return arguments[0]
 
 
 def _terms(R: ufl.Form) -> Iterator[tuple[ufl.Integral, Any]]:
-    """Integrals with the terms of their integrands."""
+    """Yield integrals with the terms of their integrands."""
     for integral in R.integrals():
         pending = [integral.integrand()]
         while pending:
@@ -158,14 +158,14 @@ def _is_over(integral: ufl.Integral, bodies: Sequence[MaterialPoints]) -> bool:
 
 
 def _set_of(integral: ufl.Integral, sets: Sequence[MaterialPoints]) -> MaterialPoints | None:
-    """The point set over all of whose points an integral is taken; None for another one."""
+    """Return the point set over all of which an integral is taken; None for others."""
     points = integral.subdomain_data()
     whole = integral.subdomain_id() == "everywhere" and not integral.metadata()
     return points if whole and any(points is known for known in sets) else None
 
 
 def _is_dead(term: Any, w: ufl.Argument) -> bool:
-    """Whether a term is a force at the points that the motion does not change."""
+    """Return whether a term is a force at the points that the motion does not change."""
     fields = extract_coefficients(term)
     kinds = {type(node) for node in unique_pre_traversal(term)}
     return (
@@ -176,14 +176,14 @@ def _is_dead(term: Any, w: ufl.Argument) -> bool:
 
 
 def _per_weight(term: Any, w: ufl.Argument) -> Any:
-    """The force per weight t of a term -t . w."""
+    """Return the force per weight t of a term -t . w."""
     dim = w.ufl_shape[0]
     units = [ufl.as_vector([float(i == k) for i in range(dim)]) for k in range(dim)]
     return ufl.as_vector([-replace(term, {w: unit}) for unit in units])
 
 
 def _force_per_mass(term: Any, points: MaterialPoints, w: ufl.Argument) -> fem.Constant | None:
-    """The constant b of a term -rho b . w; None for another term."""
+    """Return the constant b of a term -rho b . w; None for another term."""
     constants = extract_constants(term)
     if len(constants) != 1 or len(extract_coefficients(term)) != 2:
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Forces of terms of a residual, such as those of walls and supports on boundary points."""
+"""Resultants of terms of a residual, such as walls and supports on boundary points."""
 
 from __future__ import annotations
 
@@ -17,29 +17,38 @@ from fenicsmpm.simulation.step import Step
 
 
 class Resultant(Observer):
-    """Sum of what terms of a residual do to the bodies, as ``observers=[resultant]`` of any loop.
+    """Total force of terms of a residual, as ``observers=[resultant]`` of any loop.
 
     Args:
-        unknown: of the residual.
-        form: its terms, UFL of rank 1, such as ``formulations.wall(...)``.
+        unknown: Unknown of the residual.
+        form: Terms of the residual, UFL of rank 1, such as ``formulations.wall(...)``.
 
     Attributes:
-        value: force on the bodies in the last step, ``(d,)`` [N].
-        torque: its moment about the origin, a number in the plane, else ``(3,)`` [N m].
+        value: Force on the bodies in the last step in N, ``(d,)``.
+        torque: Moment of this force about the origin in N m: a number in 2D, ``(3,)`` in 3D.
     """
 
     def __init__(self, unknown: Unknown, form: ufl.Form) -> None:
-        """Nothing is known yet."""
+        """Create the observer; the force is not known yet."""
         self._unknown, self._form = unknown, form
         self.value: npt.NDArray[np.float64] = np.full(unknown.mesh.geometry.dim, np.nan)
         self.torque: Any = np.nan
 
     def solved(self, sim: Any) -> None:
-        """Sum up the terms while points are where the step began (collective)."""
+        """Sum up the terms while points are where the step began. Collective.
+
+        Args:
+            sim: The simulation.
+        """
         self._find()
 
     def done(self, sim: Any, step: Step) -> None:
-        """The same of explicit steps, for points where they are now (collective)."""
+        """Sum up the terms in explicit steps, for the current points. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         if isinstance(sim, ExplicitMPM):
             self._find()
 

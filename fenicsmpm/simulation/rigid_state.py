@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rigid bodies of a simulation: which there are, and what checkpoints keep of them."""
+"""Rigid bodies of a simulation and their states in checkpoints."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from fenicsmpm.rigid import RigidBody
 
 
 def slip_on(number: int) -> str:
-    """Field ``(n, 2, d)`` [m]: spring of friction on a rigid body, and way in the last step.
+    """Return the name of the field ``(n, 2, d)`` in m of slip on a rigid body.
 
-    Both are in the frame in which the body's shape was given.
+    It holds the friction spring and the path in the last step, both in the frame in which the shape
+    of the body was given.
 
     Args:
-        number: of the body in ``ExplicitMPM.rigid``.
+        number: Number of the body in ``ExplicitMPM.rigid``.
     """
     return f"slip on rigid body {number}"
 
 
 def rigid_bodies_in(form: ufl.Form) -> list[RigidBody]:
-    """Rigid bodies that points touch by terms of a form, in the order in which they were made.
+    """Return the rigid bodies that points touch by terms of a form, in order of creation.
 
     Args:
-        form: residual of a loop.
+        form: Residual of a loop.
     """
     fields = [c for c in all_coefficients(form) if isinstance(c, ComputedField)]
     sources = [field.source for field in sorted(fields, key=lambda field: field.count())]
@@ -35,7 +36,7 @@ def rigid_bodies_in(form: ufl.Form) -> list[RigidBody]:
 
 
 def memory_of(bodies: Sequence[RigidBody]) -> dict[str, float]:
-    """States of rigid bodies as numbers with names."""
+    """Return the states of rigid bodies as numbers with names."""
     return {
         f"rigid body {k}: {name}": value
         for k, body in enumerate(bodies)
@@ -44,6 +45,6 @@ def memory_of(bodies: Sequence[RigidBody]) -> dict[str, float]:
 
 
 def remember(bodies: Sequence[RigidBody], values: dict[str, float]) -> None:
-    """Bring rigid bodies to states that ``memory_of`` gave, and take these from the values."""
+    """Restore states that ``memory_of`` returned, and remove them from the values."""
     for k, body in enumerate(bodies):
         body.state = {name: values.pop(f"rigid body {k}: {name}") for name in body.state}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Construction in stages: points that come and go between steps, in any time loop.
+"""Construction in stages: adding and removing points between steps, in any time loop.
 
-Forms are compiled for bodies, not for their points. So a stage is a change of points: a body that
-comes later is one without points until then, and a body that goes loses all of its points.
+Forms are compiled for bodies, not for their points. A stage is therefore a change of points: a body
+that comes later has no points until then, and a body that is removed loses all of its points.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from fenicsmpm.simulation.implicit import ImplicitMPM
 
 @dataclass
 class Exchange:
-    """What came to a body, or went from it, over all ranks.
+    """Record of points added to a body or removed from it, over all ranks.
 
     Attributes:
-        points: a copy of the points, with all fields, to be added again for example.
-        time: of the simulation [s].
-        count: how many points.
-        mass: [kg].
-        volume: present one [m^d].
-        momentum: ``(d,)`` [kg m/s].
-        kinetic_energy: [J].
-        strain_energy: [J]; None where no law is known that has one.
+        points: A copy of the points with all fields, for example to be added again.
+        time: Time of the simulation in s.
+        count: Number of points.
+        mass: Mass in kg.
+        volume: Current volume in m^d.
+        momentum: Momentum in kg m/s, ``(d,)``.
+        kinetic_energy: Kinetic energy in J.
+        strain_energy: Strain energy in J; None without a law that has one.
     """
 
     points: MaterialPoints
@@ -52,24 +52,25 @@ def add_points(
     new: MaterialPoints,
     law: Law | NeoHookean | None = None,
 ) -> Exchange:
-    """Add points to a body between steps: a lift of an embankment, a body of its own (collective).
+    """Add points to a body between steps, such as a lift of an embankment. Collective.
 
-    Those that were taken from a body by ``remove_points`` have all the fields. New ones need those
-    of ``set_initial_state``, and of ``initial_stress`` if they have one; what the loop has added to
-    the body, such as accelerations and the state of a law, they get as an undeformed body would.
+    Points that ``remove_points`` took from a body have all fields. New ones need the fields of
+    ``set_initial_state``, and of ``initial_stress`` if the body has one. Fields that the loop has
+    added to the body, such as accelerations and the state of a law, get the values of an undeformed
+    body.
 
     Args:
-        sim: the time loop.
-        body: one of its bodies, which may be empty, or of its carried points.
-        new: on the same mesh; they are copied.
-        law: material whose strain energy is recorded; by default that of the loop, if it has one.
+        sim: The time loop.
+        body: One of its bodies, which may be empty, or of its carried points.
+        new: Points on the same mesh; they are copied.
+        law: Material whose strain energy is recorded; by default that of the loop, if it has one.
 
     Returns:
-        What came.
+        Record of the added points.
 
     Raises:
-        ValueError: for points of another simulation or mesh, and fields that are missing. The body
-            is as before.
+        ValueError: For points of another simulation or mesh, and missing fields. The body does not
+            change then.
     """
     _require(sim, body)
     sim.settle()
@@ -87,22 +88,23 @@ def remove_points(
     which: Selection | None = None,
     law: Law | NeoHookean | None = None,
 ) -> Exchange:
-    """Remove points of a body between steps: an excavation, a body that is taken away (collective).
+    """Remove points of a body between steps, such as those of an excavation. Collective.
 
-    What is left is no longer in equilibrium where it touched them, and moves in the next step.
+    Where the rest of the body touched these points, it is no longer in equilibrium. It moves in the
+    next step.
 
     Args:
-        sim: the time loop.
-        body: one of its bodies, or of its carried points.
-        which: as for ``MaterialPoints.remove``: marker of positions ``(3, n)``, mask or indices;
-            None for all points.
-        law: material whose strain energy is recorded; by default that of the loop, if it has one.
+        sim: The time loop.
+        body: One of its bodies, or of its carried points.
+        which: Selection as for ``MaterialPoints.remove``: marker of positions ``(3, n)``, mask or
+            indices; None for all points.
+        law: Material whose strain energy is recorded; by default that of the loop, if it has one.
 
     Returns:
-        What went.
+        Record of the removed points.
 
     Raises:
-        ValueError: for points of another simulation, and a selection that is none; on all ranks.
+        ValueError: On all ranks, for points of another simulation or an invalid selection.
     """
     _require(sim, body)
     sim.settle()
@@ -116,7 +118,7 @@ def _require(sim: ImplicitMPM | ExplicitMPM, body: MaterialPoints) -> None:
     if body not in [*sim.bodies, *sim.carried]:
         raise ValueError(
             "the points are neither a body nor carried points of this simulation: give it all "
-            "bodies at the start, those that come later too, and take out their points before the "
+            "bodies at the start, also those that come later, and remove their points before the "
             "first step"
         )
 
@@ -127,7 +129,7 @@ def _recorded(
     points: MaterialPoints,
     law: Law | NeoHookean | None,
 ) -> Exchange:
-    """What some points are, which are or were those of a body (collective)."""
+    """Return the record of some points of a body. Collective."""
     dim = points.mesh.geometry.dim
     is_body = body in sim.bodies
     if law is None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The state of a simulation between two steps, as each rank has it.
 
-It is what a step leaves behind: all arrays of all points, the time, and what the time scheme
-remembers. Mesh, forms and loads are no part of it: whoever puts it into a simulation has built that
-as always.
+The state is what a step leaves behind: all arrays of all points, the time, and the memory of the
+time scheme. Mesh, forms and loads are no part of it. Whoever restores it must build the simulation
+first.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class PointSet:
     """The points of one set on this rank.
 
     Attributes:
-        next_id: id of the next point that is added.
-        arrays: with a row for each point, ``(n, *shape)``.
+        next_id: Id of the next point that is added.
+        arrays: Arrays with a row for each point, ``(n, *shape)``.
     """
 
     next_id: int
@@ -40,13 +40,13 @@ class PointSet:
 
 @dataclass
 class State:
-    """What the next step depends on.
+    """Data that the next step depends on.
 
     Attributes:
-        time: [s].
-        number: of steps done.
-        memory: other numbers.
-        sets: bodies, then carried points.
+        time: Time in s.
+        number: Number of steps done.
+        memory: Other numbers.
+        sets: Bodies, then carried points.
     """
 
     time: float
@@ -56,20 +56,20 @@ class State:
 
 
 def point_sets(sim: Simulation) -> list[MaterialPoints]:
-    """Bodies, then carried points."""
+    """Return bodies, then carried points."""
     return [*sim.bodies, *sim.carried]
 
 
 def fields_of(points: MaterialPoints) -> Fields:
-    """Shapes of the values at one point by the names of all arrays, in their order."""
+    """Return the shapes of the values at one point by the names of all arrays, in their order."""
     return {name: points.field_shape(name) for name in (*BUILT_IN, *points.field_names)}
 
 
 def take(sim: Simulation) -> State:
-    """The state of a simulation, which keeps it: arrays are not copied (collective).
+    """Return the state of a simulation; arrays are not copied. Collective.
 
     Args:
-        sim: the simulation.
+        sim: The simulation.
     """
     sim.settle()
     sets = [PointSet(points.next_id, points.snapshot(copy=False)) for points in point_sets(sim)]
@@ -77,11 +77,12 @@ def take(sim: Simulation) -> State:
 
 
 def put(state: State, sim: Simulation) -> None:
-    """Bring a simulation with the same point sets and fields to a state (collective).
+    """Set the state of a simulation with the same point sets and fields. Collective.
 
     Args:
-        state: with points in cells that this rank owns; its arrays become those of the points.
-        sim: the simulation.
+        state: State with points in cells that this rank owns; its arrays become those of the
+            points.
+        sim: The simulation.
     """
     for points, saved in zip(point_sets(sim), state.sets, strict=True):
         points.restore(saved.arrays)
@@ -91,11 +92,11 @@ def put(state: State, sim: Simulation) -> None:
 
 
 def located(points: MaterialPoints, arrays: Arrays) -> Arrays:
-    """Arrays of points anywhere, with their cells on the ranks that own them (collective).
+    """Send arrays of points to the ranks that own their cells, and set the cells. Collective.
 
     Args:
-        points: on the mesh in whose cells the points are looked for.
-        arrays: of any points with the same fields; "cell" and "xi" do not matter.
+        points: Points on the mesh in which the cells are searched.
+        arrays: Arrays of any points with the same fields; "cell" and "xi" are ignored.
     """
     n = len(arrays["x"])
     nowhere = {"cell": np.full(n, -1, np.int32), "xi": np.zeros_like(arrays["x"])}
@@ -108,11 +109,11 @@ def located(points: MaterialPoints, arrays: Arrays) -> Arrays:
 def differences(
     there: tuple[str, Sequence[Fields]], here: tuple[str, Sequence[Fields]]
 ) -> list[str]:
-    """Why a state does not fit a simulation; nothing if it does.
+    """Return the reasons why a state does not fit a simulation; an empty list if it does.
 
     Args:
-        there: method and fields of each point set of the state.
-        here: those of the simulation.
+        there: Method, and fields of each point set of the state.
+        here: Those of the simulation.
     """
     said = []
     (method, sets), (other_method, other_sets) = there, here
@@ -142,11 +143,11 @@ def _difference(there: Fields, here: Fields) -> str:
 
 
 def chosen_otherwise(there: dict[str, str], here: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Parameters that differ: name, and what it is there and here.
+    """Yield parameters that differ: the name, and both values.
 
     Args:
         there: ``parameters`` of one simulation.
-        here: those of another one.
+        here: Those of another one.
     """
     for name in {**there, **here}:
         one, other = (parameters.get(name, "nothing") for parameters in (there, here))

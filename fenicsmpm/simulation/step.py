@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a time loop says of a step."""
+"""Reports of time steps."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from fenicsmpm.solvers import NewtonResult
 
 @dataclass
 class Step(Described):
-    """What happened in a time step.
+    """Report of a time step.
 
     Attributes:
-        number: of the step, from 1.
-        time: at its end [s].
-        dt: its length [s].
-        newton: how its equations were solved; None for explicit steps, which solve none.
+        number: Number of the step, from 1.
+        time: Time at its end in s.
+        dt: Length in s.
+        newton: Result of Newton's method; None for explicit steps.
         attempts: 1 plus the number of times that the step was halved.
-        removed: points that left the mesh and were deleted, or held back for the first time.
+        removed: Number of points that left the mesh and were deleted, or held back for the first
+            time.
     """
 
     number: int

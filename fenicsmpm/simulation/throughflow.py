@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Matter that flows into a mesh and out of it: sources and sinks, as observers of any loop."""
+"""Inflow and outflow of material: sources and sinks, as observers of any loop."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.staging import add_points, remove_points
 from fenicsmpm.simulation.step import Step
 
-# Volume of points in a cell, by its own, at which a source does not add to them
+# Filled fraction of a cell from which on a source adds no points
 _OVERFULL = 1.5
-# Layers are complete a little early, so that round-off of times does not delay them by a step
+# Layers are complete slightly early, so that round-off of times does not delay them by a step.
 _EARLY = 1e-9
 
 
 class Source(Observer):
-    """Adds points behind an inlet as fast as matter flows in through it.
+    """Inlet that adds points as fast as material flows in.
 
-    Each point of the inlet sends a row of points into the mesh, at a distance of ``spacing``. One
-    is added when the one before has gone that far, in the middle of the gap, so that after the
-    time t the mass is density * area * speed * t of each inlet point, to within one of its points.
-    The velocity is to be prescribed at the nodes of the inlet, too.
+    Each inlet point sends a row of points into the mesh, at a distance of ``spacing``. A point is
+    added when the previous one has moved by this distance, in the middle of the gap. After the
+    time t, the added mass is density * area * speed * t for each inlet point, up to one point. The
+    velocity must be prescribed at the nodes of the inlet, too.
 
     Args:
-        body: to which points are added; one of the bodies of the simulation.
-        inlet: boundary points with areas as weights [m^(d-1)] and the field "normal" that points
+        body: Body of the simulation to which points are added.
+        inlet: Boundary points with areas in m^(d-1) as weights and a field "normal" that points
             against the flow, such as those of ``points.on_curve`` and ``points.on_facets``.
-        density: of what flows in [kg/m^d].
-        velocity: of all points ``(d,)`` [m/s], or a function as in dolfinx, from positions
-            ``(3, n)`` [m] to velocities ``(d, n)``.
-        spacing: of points along the flow [m].
+        density: Density of the inflow in kg/m^d.
+        velocity: Velocity of all points in m/s, ``(d,)``, or a function as in dolfinx, from
+            positions ``(3, n)`` in m to velocities ``(d, n)``.
+        spacing: Spacing of points along the flow in m.
 
     Attributes:
-        mass: that has come in so far [kg].
-        count: of points that have come in.
+        mass: Mass that has come in so far in kg.
+        count: Number of points that have come in.
 
     Raises:
-        ValueError: on all ranks, for an inlet without normals or points; a velocity that is not
+        ValueError: On all ranks, for an inlet without normals or points; a velocity that is not
             finite, has another shape, or points out of the mesh somewhere; a density or spacing
-            that is not positive and finite. In the loop, if
-            points would come into cells that are full already.
+            that is not positive and finite. In the loop, if points would be added to cells that
+            are already full.
     """
 
     def __init__(
@@ -63,13 +63,13 @@ class Source(Observer):
         velocity: npt.ArrayLike | OfPosition,
         spacing: float,
     ) -> None:
-        """Check (collective)."""
+        """Check the inlet and the velocity. Collective."""
         if not 0 < spacing < np.inf:
-            raise ValueError(f"points of a source need a positive distance, not {spacing} m")
+            raise ValueError(f"the spacing of points of a source must be positive, not {spacing} m")
         if inlet.mesh is not body.mesh or "normal" not in inlet or inlet.size_global == 0:
             raise ValueError(
-                "an inlet are boundary points on the body's mesh with the field 'normal', as "
-                "points.on_curve and points.on_facets make them"
+                "an inlet needs boundary points on the body's mesh with the field 'normal', such "
+                "as those of points.on_curve and points.on_facets"
             )
         self._body, self._inlet, self._spacing = body, inlet, float(spacing)
         self._density = positive(density, "density", "density of what flows in", "kg/m^d")
@@ -89,8 +89,8 @@ class Source(Observer):
         elif len(v) and self._speed.min() < 0:
             worst = int(np.argmin(self._speed))
             error = ValueError(
-                f"matter flows out of a source with {-self._speed[worst]:g} m/s at "
-                f"{inlet.x[worst]}: its velocity must point against the normals"
+                f"the velocity of a source must point against the normals of the inlet, but flows "
+                f"out with {-self._speed[worst]:g} m/s at {inlet.x[worst]}"
             )
         raise_together(inlet.mesh.comm, error)
         self._time, self.mass, self.count = 0.0, 0.0, 0
@@ -101,16 +101,25 @@ class Source(Observer):
         return None, np.tile(np.asarray(self._velocity), (len(x), 1))
 
     def begin(self, sim: Any) -> None:
-        """Note the time at which the step begins."""
+        """Store the time at which the step begins.
+
+        Args:
+            sim: The simulation.
+        """
         self._time = sim.time
 
     def done(self, sim: Any, step: Step) -> None:
-        """Add what has come in (collective)."""
+        """Add the points that have come in. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         way = self._speed * sim.time
         before = np.floor(self._speed * self._time / self._spacing + _EARLY).astype(np.int64)
         number = np.floor(way / self._spacing + _EARLY).astype(np.int64)
         rows = np.repeat(np.arange(len(way)), number - before)
-        # the k-th point is complete when the way is k spacings
+        # the k-th point is complete when the path is k spacings long
         first = np.cumsum(number - before) - (number - before)
         k = before[rows] + 1 + np.arange(len(rows)) - first[rows]
         comm = self._inlet.mesh.comm
@@ -138,7 +147,7 @@ class Source(Observer):
         self.count += came.count
 
     def _check_room(self, new: MaterialPoints) -> None:
-        """Raise ValueError if points come into cells that are full (collective)."""
+        """Raise ValueError if points are added to cells that are full. Collective."""
         filled = filled_fractions(new)
         bad = np.flatnonzero((filled > 0) & (filled + filled_fractions(self._body) > _OVERFULL))
         error = None
@@ -153,24 +162,30 @@ class Source(Observer):
 
 
 class Sink(Observer):
-    """Takes points away where they leave a region, after each step.
+    """Outlet that removes points from a region after each step.
 
     Args:
-        body: one of the bodies, or of the carried points, of the simulation.
-        where: as for ``MaterialPoints.remove``: a marker from positions ``(3, n)`` [m] to a mask.
+        body: One of the bodies, or of the carried points, of the simulation.
+        where: Region as for ``MaterialPoints.remove``, such as a marker from positions
+            ``(3, n)`` in m to a mask.
 
     Attributes:
-        mass: that has gone out so far [kg]; of carried points, zero.
-        count: of points that have gone out.
+        mass: Mass that has gone out so far in kg; zero for carried points.
+        count: Number of points that have gone out.
     """
 
     def __init__(self, body: MaterialPoints, where: Selection) -> None:
-        """Nothing has gone yet."""
+        """Create the observer; nothing has gone out yet."""
         self._body, self._where = body, where
         self.mass, self.count = 0.0, 0
 
     def done(self, sim: Any, step: Step) -> None:
-        """Take points away (collective)."""
+        """Remove points. Collective.
+
+        Args:
+            sim: The simulation.
+            step: The finished step.
+        """
         gone = remove_points(sim, self._body, self._where)
         self.mass += gone.mass
         self.count += gone.count

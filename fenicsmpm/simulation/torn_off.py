@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Carried points that have lost the body that they belong to."""
+"""Carried points that have lost contact with their body."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from fenicsmpm.points import MaterialPoints
 
 logger = logging.getLogger(__name__)
 
-# Share of a cell beyond the cells of the body at which points are off it
+# Distance from the cells of the body, as a fraction of a cell, from which on points are off it
 _OFF = 0.5
 
 
 class TornOff:
-    """Warns once of carried points that share no cell with the bodies that they move with.
+    """Warning, given once, of carried points that share no cell with their bodies.
 
-    A surface enters a cell before the points inside do. So points are off only where they are more
-    than half a cell away from the cells that hold something of a body.
+    A surface enters a cell before the points inside the body do. Points count as torn off only if
+    they are more than half a cell away from the cells that hold something of a body.
 
     Args:
-        bodies: material points.
-        carried: points that move with them.
+        bodies: Material points.
+        carried: Points that move with them.
     """
 
     def __init__(self, bodies: Sequence[MaterialPoints], carried: Sequence[MaterialPoints]) -> None:
-        """Nothing has been said yet."""
+        """Prepare the check; no warning has been given yet."""
         self._bodies, self._carried, self._has_warned = list(bodies), list(carried), False
 
     def look(self, time: float) -> None:
-        """Log the warning if there is reason to for the first time (collective).
+        """Log the warning when its condition holds for the first time. Collective.
 
         Args:
-            time: [s].
+            time: Time in s.
         """
         if self._has_warned or not self._carried or not any(b.size_global for b in self._bodies):
             return
@@ -59,17 +59,17 @@ class TornOff:
             if mesh.comm.rank == 0:
                 logger.warning(
                     "%d of %d carried points are more than half a cell away from the cells that "
-                    "hold their body at t = %g s, one at (%s) m: what they load, support or touch "
-                    "does not act on the body any more. Where they have torn off, tie the nodes "
-                    "around (cells.Tying), as a ghost penalty resists increments only, correct "
-                    "weights (cells.correct_weights), or take more points in a cell",
+                    "hold their body at t = %g s, one at (%s) m: their loads, supports or contacts "
+                    "no longer act on the body. If they have torn off, tie the nodes around them "
+                    "(cells.Tying), as a ghost penalty resists increments only, correct weights "
+                    "(cells.correct_weights), or use more points per cell",
                     count, points.size_global, time, ", ".join(f"{x:.6g}" for x in place),
                 )  # fmt: skip
             return
 
 
 def _nearness(points: MaterialPoints, is_near: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Linear functions of nodes of the body's cells at points, 1 in and at these cells."""
+    """Return at points the linear function that is 1 at the nodes of the body's cells."""
     if len(points) == 0:  # basix cannot tabulate at no points
         return np.empty(0)
     cell = getattr(basix.CellType, points.mesh.basix_cell().name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Between points and grid: what both time loops use."""
+"""Transfers between points and grid, used by both time loops."""
 
 from fenicsmpm.transfer.points_to_grid import p2g, project
 

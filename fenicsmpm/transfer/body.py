@@ -12,18 +12,18 @@ class Body(NamedTuple):
     Points that fill up the last block have neither mass nor volume.
 
     Attributes:
-        x: positions (d,) at the beginning of a step [m].
-        x_next: at its end.
-        v: velocities (d,).
-        F: deformation gradients (d, d).
-        F33: stretches out of the plane, of no points if they are 1, and in space.
-        J_bar: averaged J.
-        J_0: J when the averages began, of no points if it is 1.
-        mass: [kg].
-        V_0: initial volumes.
-        state: what the material remembers (n_state,).
-        L: velocity gradients (d, d), of no points if the material does not need them.
-        parameters: of the material.
+        x: Positions at the beginning of a step in m, (d,).
+        x_next: Positions at the end of a step in m, (d,).
+        v: Velocities in m/s, (d,).
+        F: Deformation gradients, (d, d).
+        F33: Out-of-plane stretches; without points if they are 1, and in 3D.
+        J_bar: Averaged J.
+        J_0: J at the beginning of the averages; without points if it is 1.
+        mass: Masses in kg.
+        V_0: Initial volumes in m^d.
+        state: State variables of the material, (n_state,).
+        L: Velocity gradients in 1/s, (d, d); without points if the material does not need them.
+        parameters: Parameters of the material.
     """
 
     x: Any

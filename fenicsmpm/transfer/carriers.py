@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What points without material do: carry forces to the nodes, and follow them (numba)."""
+"""Points without material, which carry forces to the nodes and follow the motion (numba)."""
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 
@@ -24,11 +24,11 @@ _njit = njit(**OPTIONS)
 
 @functools.cache
 def node_rows(dim: int, kind: int) -> Any:
-    """Compile the function that finds the nodes of the i-th point of a block, one by one.
+    """Compile the function that lists the nodes of the i-th point of a block.
 
-    Arguments are i, what ``stencils`` gives of its block, not in a window, the nodes, the numbers
-    of the tiles that there are, and results ``(width^d,)``: rows of the nodes, counted through, or
-    -1 where there is no tile; and values of functions.
+    Its arguments are i, the results of ``stencils`` for the block (not in a window), the nodes, the
+    numbers of the existing tiles, and two results ``(width^d,)``: rows of the nodes in all tiles,
+    -1 without a tile; and values of the grid functions.
     """
     width = WIDTH[kind]
     depth = width if dim == 3 else 1
@@ -51,7 +51,7 @@ def node_rows(dim: int, kind: int) -> Any:
 
 
 class Carriers(NamedTuple):
-    """What points without material do; see ``carriers``."""
+    """Kernels of points without material; see ``carriers``."""
 
     add_forces: Callable[..., int]
     follow: Callable[..., Any]
@@ -59,18 +59,18 @@ class Carriers(NamedTuple):
 
 @functools.cache
 def carriers(dim: int, kind: int) -> Carriers:
-    """Compile what points do that carry forces through the grid."""
+    """Compile the kernels of points that carry forces through the grid."""
     width, fill = WIDTH[kind], stencils(dim, kind, in_window=False)
     find, count, lower = node_rows(dim, kind), WIDTH[kind] ** dim, (0.0, 0.0, 0.0)
 
     @_njit
     def add_forces(nodes, ids, half, x, force, rows, forces):
-        """External forces of points, ``(n, d)`` [N], to those of all nodes, ``(n_nodes, 3)``.
+        """Add external forces of points, ``(n, d)`` in N, to all nodes, ``(n_nodes, 3)``.
 
-        Positions x are in blocks, rows have the mass of all points.
+        Positions x are in blocks; the rows have the mass of all points.
 
         Returns:
-            A point without any mass at its nodes; or -1.
+            A point without any mass at its nodes, or -1.
         """
         corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
@@ -96,7 +96,7 @@ def carriers(dim: int, kind: int) -> Carriers:
         """Move points, in blocks, with the grid (eq. 17).
 
         Returns:
-            One of them that has left the lattice, or -1; and whether one has gone further than its
+            A point that has left the lattice, or -1; and whether some point has moved beyond its
             tiles.
         """
         corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)

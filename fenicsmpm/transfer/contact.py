@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Contact of material points with rigid bodies, for all points (numba).
 
-The law is that of one point, see `fenicsmpm.rigid.contact_law`. Totals ``(8,)`` are the force and
-its moment about the body's centre, and mass and polar moment of the points within reach.
+`fenicsmpm.rigid.contact_law` is the law of one point. Totals ``(8,)`` are the force, its moment
+about the body's centre, and mass and polar moment of inertia of the points within reach.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -29,20 +29,20 @@ _njit = njit(**OPTIONS)
 
 @njit
 def push_points(x, v, slip, mass, body, dt, total):
-    """Contact forces ``(n, d)`` [N] at points ``(n, d)``.
+    """Return contact forces ``(n, d)`` in N at points ``(n, d)``.
 
     Args:
-        x: positions.
-        v: velocities.
-        slip: ``(n, 2 d)``, to be renewed: spring of friction and way along the body in the last
-            step, in its frame; of no points without friction.
-        mass: ``(n,)``.
-        body: the rigid body, a ``Contact``.
-        dt: time step [s].
-        total: to be added to.
+        x: Positions in m.
+        v: Velocities in m/s.
+        slip: Array ``(n, 2 d)``, updated: the friction spring, and the path along the body in the
+            last step, in the frame of the body. Without friction it has no rows.
+        mass: Masses in kg, ``(n,)``.
+        body: The rigid body, a ``Contact``.
+        dt: Time step in s.
+        total: Totals, which are added to.
 
     Returns:
-        The forces, and a point inside of the body, or -1.
+        The forces, and a point inside the body, or -1.
     """
     forces, work, bad = np.zeros(x.shape), np.zeros((4, x.shape[1])), -1
     for p in range(len(x)):
@@ -54,7 +54,7 @@ def push_points(x, v, slip, mass, body, dt, total):
 
 @njit
 def keep_points_out(x, x_next, v, slip, mass, body, dt, total):
-    """Keep points ``(n, d)`` out of a body at its new place, see ``push_points``."""
+    """Keep points ``(n, d)`` out of a body in its new position, see ``push_points``."""
     force, work = np.zeros(x.shape[1]), np.zeros((4, x.shape[1]))
     for p in range(len(x)):
         keep_out(x.T, x_next.T, v.T, slip.T, 0, p, mass[p], body, dt, work, force, total)
@@ -75,10 +75,10 @@ def contact(dim: int, kind: int) -> ContactKernels:
 
     @_njit
     def push(nodes, ids, half, x, v, slip, mass, body, dt, rows, total):
-        """Contact forces to the nodes.
+        """Add contact forces to the nodes.
 
         Returns:
-            A block with a point inside of the body, or -1.
+            A block with a point inside the body, or -1.
         """
         corner, base = np.empty((3, LANES)), np.empty(LANES, np.int64)
         w, d = np.empty((3 * width, LANES)), np.empty((3 * width, LANES))
@@ -105,11 +105,11 @@ def contact(dim: int, kind: int) -> ContactKernels:
 
     @_njit
     def hold_back(nodes, units, x, x_next, v, slip, mass, body, dt, total):
-        """Keep points out of a body at its new place.
+        """Keep points out of a body in its new position.
 
         Returns:
-            A block with a point that has left the lattice by this, or -1; and whether one has left
-            its window.
+            A block with a point that leaves the lattice by this, or -1; and whether a point has
+            left its window.
         """
         work, force, bad, strays = np.zeros((4, dim)), np.zeros(dim), -1, False
         for unit in range(len(units.blocks) - 1):

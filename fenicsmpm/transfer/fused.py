@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""The transfers of an explicit step between points and a lattice, fused point by point (numba).
+"""Transfers of an explicit step between points and a lattice, fused point by point (numba).
 
 A step consists of the update of the nodes (`fenicsmpm.transfer.grid_rows`), ``gather`` and
-``finish``, which goes on with what the points give to the nodes for the next step; before the
-first step, that is ``scatter``. So in between no stress goes to memory, which is what limits the
-speed. Each kernel is compiled for a dimension, a basis and a material, in which it is inlined. In
-the plane, the third direction has one node.
+``finish``. ``finish`` also adds the contributions of the points to the nodes for the next step;
+before the first step, ``scatter`` does this. Stresses are therefore never written to memory, whose
+bandwidth limits the speed. Each kernel is compiled for a dimension, a basis and a material, which
+is inlined. In 2D the third direction has one node.
 
-A row of the grid holds, of a node, mass, momentum, volume and internal force before its update, and
-mass, velocity, volume and the increment of velocity after it (columns in
+A row of the grid holds mass, momentum, volume and internal force of a node before its update, and
+mass, velocity, volume and velocity increment after it (columns in
 `fenicsmpm.transfer.grid_rows`). Points of a tile see its nodes in a window
-(`fenicsmpm.transfer.windows`). What a block of points gives to nodes and takes from them is in
+(`fenicsmpm.transfer.windows`). The transfers of a block of points to and from nodes are in
 `fenicsmpm.transfer.fused_to_nodes` and `fenicsmpm.transfer.fused_to_points`.
 
-References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit material
-point methods" (F-bar).
+Equation numbers refer to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit
+material point methods" (F-bar).
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -41,20 +41,20 @@ _njit = numba.njit(**INNER)
 _allocates = numba.njit(forceinline=True, **INNER)
 _parallel = njit(parallel=True)
 
-# Blocks that are fetched from memory ahead of the one that is worked on (measured: 1 to 8)
+# Number of blocks that are prefetched ahead of the current one (measured: 1 to 8)
 _AHEAD = 8
 
 _HUGE = np.finfo(float).max
 
 
 class Kernels(NamedTuple):
-    """Transfers for some dimension, basis and material; see ``transfers``."""
+    """Transfers for a dimension, basis and material; see ``transfers``."""
 
     scatter: Callable[..., None]
     gather: Callable[..., Any]
     finish: Callable[..., None]
-    # for linear functions, instead of ``gather``: points are moved, their velocities mapped back,
-    # and by these they are deformed
+    # for linear functions, instead of ``gather``: points move, their velocities are mapped back to
+    # the nodes, and these velocities deform the points
     move: Callable[..., Any]
     momenta: Callable[..., None]
     deform: Callable[..., Any]
@@ -75,15 +75,16 @@ def transfers(
     """Compile the transfers.
 
     Args:
-        dim: 2 or 3.
-        kind: of grid functions, see ``basis.lines``.
+        dim: Dimension, 2 or 3.
+        kind: Kind of the grid functions, see ``basis.lines``.
         update: numba function of the material, ``(F, L, parameters, state, sigma)``.
-        update_eight: the same for eight points, where it is easy, or None.
-        n_state: how many numbers the material remembers.
-        rates: the material needs the velocity gradient.
-        is_fluid: of the deformation, only J is kept.
-        has_F33: in the plane, points have stretches out of it, which stay.
-        has_J_0: averages of J began where it was not 1.
+        update_eight: The same for eight points at once, or None. It returns False where it
+            cannot, such as at points that need iterations.
+        n_state: Number of state variables of the material.
+        rates: Whether the material needs the velocity gradient.
+        is_fluid: Whether only J is kept of the deformation.
+        has_F33: Whether points in 2D have out-of-plane stretches, which are constant.
+        has_J_0: Whether averages of J began where J was not 1.
     """
     width, fill = WIDTH[kind], stencils(dim, kind, in_window=True)
     fill_values = stencils(dim, kind, in_window=True, with_slopes=False)
@@ -96,7 +97,7 @@ def transfers(
 
     @inline
     def fetch(body, block):
-        """Have what a block needs brought near; it need not exist."""
+        """Prefetch the data of a block, which need not exist."""
         for rows in (body.mass, body.V_0, body.J_bar):
             prefetch(rows, block)
         for rows in (body.x, body.x_next, body.v):
@@ -111,7 +112,7 @@ def transfers(
 
     @inline
     def no_reach(reach):
-        """Begin to look for the nodes of the points of a unit."""
+        """Reset the range of nodes of the points of a unit."""
         for k in range(dim):
             store(reach, k, zeros() + _HUGE)
             store(reach, 3 + k, zeros() - _HUGE)
@@ -133,9 +134,9 @@ def transfers(
 
     @inline
     def give(unit, units, nodes, half, body, x, sigma, begin, work, scratch, rows):
-        """Add the points of a unit at x to the nodes.
+        """Add the points of a unit at positions x to the nodes.
 
-        Their stresses are in ``sigma``, from those of the block ``begin`` on.
+        Their stresses are in ``sigma``, starting with the block ``begin``.
         """
         corner, base, w, d, lines, reach = work
         no_reach(reach)
@@ -150,7 +151,7 @@ def transfers(
 
     @_allocates
     def to_work_with(n_lines):
-        """Memory for the functions at a block, its lines, and the reach of a unit."""
+        """Return memory for the functions at a block, its lines, and the range of a unit."""
         return (
             scratch_rows(3, LANES), np.empty(LANES, np.int64), scratch_rows(3 * width, LANES),
             scratch_rows(3 * width, LANES), scratch_rows(n_lines, LINE_LANES),
@@ -159,7 +160,7 @@ def transfers(
 
     @_njit
     def scatter(chunk, units, nodes, half, body, sigma, rows):
-        """Points with known stresses (3, 3) to the nodes."""
+        """Add points with known stresses (3, 3) to the nodes."""
         work = to_work_with(fused_to_nodes.LINES)
         scratch = scratch_rows(count, LANES)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
@@ -167,7 +168,7 @@ def transfers(
 
     @_njit
     def momenta(chunk, units, nodes, half, body, rows):
-        """Mass and momentum of the points, where they were, to the nodes."""
+        """Add mass and momentum of the points, at their old positions, to the nodes."""
         work, scratch = to_work_with(fused_to_nodes.LINES), scratch_rows(count, LANES)
         corner, base, w, d, lines, _ = work
         no_stress = scratch_rows(9, LANES)
@@ -179,11 +180,11 @@ def transfers(
             copies.add_rows(unit, units.target, units.first, units.last, scratch, rows)
 
     def from_nodes_to_points(moves: bool, deforms: bool) -> Any:
-        """Compile a pass over the points: velocity and next position, F, or both.
+        """Compile a pass over the points that updates motion, deformation, or both.
 
-        J goes back to the nodes with F, to be averaged. Found are a block with a point that is
-        inverted, not finite or outside of the lattice, or -1; and whether a point has left its
-        window.
+        The motion consists of velocity and next position. Together with F, the pass adds J to the
+        nodes, to be averaged. ``found`` gets a block with a point that is inverted, not finite or
+        outside of the lattice, or -1; and whether a point has left its window.
         """
 
         @_njit
@@ -230,10 +231,10 @@ def transfers(
 
     @_njit
     def finish(chunk, units, nodes, half, body, average, averages, again, sigma, rows):
-        """Stresses by the averaged J: to the nodes for the next step, and to ``sigma`` if wanted.
+        """Compute stresses from the averaged J and add them to the nodes for the next step.
 
-        They are wanted if there is room for them in ``sigma (n_blocks * 9, 8)``. All stresses of a
-        unit come first, because processors then work on several blocks at once.
+        They are also stored in ``sigma (n_blocks * 9, 8)`` if it has room. All stresses of a unit
+        are computed before they are added, so that processors work on several blocks at once.
         """
         is_kept, most = len(sigma) > 0, np.int64(0)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):

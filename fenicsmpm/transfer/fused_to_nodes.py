@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What blocks of eight points give to the nodes in their window: mass, momentum, volume, force.
+"""Contributions of blocks of eight points to nodes: mass, momentum, volume and force.
 
-References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit material
-point methods" (F-bar).
+Equation numbers refer to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit
+material point methods" (F-bar).
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -30,8 +30,8 @@ from fenicsmpm.lanes import (
     zeros,
 )
 
-# First lines of a block's points: of mass and momentum, of forces by slopes in each direction; the
-# volumes are a row behind them
+# First lines of a block's points: mass and momentum, then forces by slopes in each direction. The
+# volumes form a row behind them.
 _LOW, _X, _Y, _Z, _VOLUMES = (k * LANES for k in range(5))
 LINES = _VOLUMES + LANES // LINE_LANES
 
@@ -45,20 +45,21 @@ class ToNodes(NamedTuple):
 
 @functools.cache
 def to_nodes(dim: int, width: int) -> ToNodes:
-    """Compile what adds blocks of points to nodes.
+    """Compile the functions that add blocks of points to nodes.
 
     Args:
-        dim: 2 or 3.
-        width: nodes in a direction that a point has.
+        dim: Dimension, 2 or 3.
+        width: Number of nodes per direction that a point sees.
     """
     shape, last = window(dim, width), (dim - 1) * width
 
     @inline
     def pack(block, body, V, s, first, lines):
-        """What the points of a block give: per value and slopes of a grid function.
+        """Compute the contributions of a block per value and slopes of a grid function.
 
-        Mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10); stresses s (3, 3) from
-        row ``first`` on. Each line is in memory before it is loaded: faster than in registers.
+        They are mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10). The stresses are
+        s (3, 3) from row ``first`` on. Each line is stored in memory and then loaded, which is
+        faster than in registers.
         """
         m, nothing = load(body.mass, block), zeros()
         x, y = m * load(body.v, block * dim), m * load(body.v, block * dim + 1)
@@ -72,7 +73,7 @@ def to_nodes(dim: int, width: int) -> ToNodes:
 
     @inline
     def of_point(lines, i):
-        """Halves of a row of the grid, and slopes of the second one."""
+        """Return the halves of a row of the grid, and the slopes of the second one."""
         low = load_line(lines, _LOW + i)
         high = line_of(number_at(lines, _VOLUMES * LINE_LANES + i), 0.0, 0.0, 0.0)
         by_x, by_y = load_line(lines, _X + i), load_line(lines, _Y + i)
@@ -80,7 +81,7 @@ def to_nodes(dim: int, width: int) -> ToNodes:
 
     @inline
     def at_first(given, i, a, w, d):
-        """These times a point's functions in the first direction."""
+        """Multiply these by a point's functions in the first direction."""
         low, high, by_x, by_y, by_z = given
         w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
         high = add_scaled(scaled(w_a, high), d_a, by_x)
@@ -88,7 +89,7 @@ def to_nodes(dim: int, width: int) -> ToNodes:
 
     @inline
     def at_second(given, i, b, w, d):
-        """And in the second one of three."""
+        """Multiply them by the functions in the second of three directions."""
         low, high, by_y, by_z = given
         w_b, d_b = number_at(w, (width + b) * LANES + i), number_at(d, (width + b) * LANES + i)
         high = add_scaled(scaled(w_b, high), d_b, by_y)
@@ -96,13 +97,13 @@ def to_nodes(dim: int, width: int) -> ToNodes:
 
     @inline
     def times_last(low, high, given, i, c, w, d):
-        """And in the last one, added to the halves of a row."""
+        """Multiply them by the functions in the last direction, and add them to halves of a row."""
         w_c, d_c = number_at(w, (last + c) * LANES + i), number_at(d, (last + c) * LANES + i)
         high = add_scaled(add_scaled(high, w_c, given[1]), d_c, given[2])
         return add_scaled(low, w_c, given[0]), high
 
     def adder(points: int) -> Any:
-        """Compile what adds one point, or two with the same nodes, to these."""
+        """Compile the function that adds one point, or two with the same nodes, to these nodes."""
 
         @inline
         def along_last(first, i, one, j, two, w, d, rows):
@@ -134,7 +135,7 @@ def to_nodes(dim: int, width: int) -> ToNodes:
 
     @inline
     def add(base, w, d, lines, rows):
-        """Add the points of a block to their nodes, two at once where these are the same."""
+        """Add the points of a block to their nodes, two at once if these are the same."""
         for i in range(0, LANES, 2):
             if base[i] == base[i + 1]:
                 add_two(i, i + 1, base, w, d, lines, rows)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What blocks of eight points take from the nodes in their window: motion, F, averages of J.
+"""Updates of blocks of eight points from the nodes: motion, F, averages of J.
 
-References are to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit material
-point methods" (F-bar).
+Equation numbers refer to Y. Zhao, C. Jiang, J. Choo, "Circumventing volumetric locking in explicit
+material point methods" (F-bar).
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -37,8 +37,8 @@ from fenicsmpm.lanes import (
 )
 from fenicsmpm.materials.tensors import cube_root
 
-# First lines of a block's points: in the plane of velocity and its increment, in space of mass and
-# velocity, and of volume and increment; and of the slopes of velocity in each direction
+# First lines of a block's points: in 2D velocity and its increment; in 3D mass and velocity, then
+# volume and increment; then the slopes of the velocity in each direction
 _LOW, _HIGH, _X, _Y, _Z, LINES = (k * LANES for k in range(6))
 _TINY, _HUGE = np.finfo(float).tiny, np.finfo(float).max
 
@@ -56,24 +56,24 @@ class ToPoints(NamedTuple):
 
 @functools.cache
 def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -> ToPoints:
-    """Compile what blocks of points take from nodes.
+    """Compile the functions that update blocks of points from nodes.
 
     Args:
-        dim: 2 or 3.
-        width: nodes in a direction that a point has.
-        rates: the material needs the velocity gradient.
-        has_F33: in the plane, points have stretches out of it.
-        has_J_0: averages of J began where it was not 1.
+        dim: Dimension, 2 or 3.
+        width: Number of nodes per direction that a point sees.
+        rates: Whether the material needs the velocity gradient.
+        has_F33: Whether points in 2D have out-of-plane stretches.
+        has_J_0: Whether averages of J began where J was not 1.
     """
     shape = window(dim, width)
     far, near, last = shape.far, shape.near, (dim - 1) * width
-    # the first columns of velocities and their increments
+    # the first columns of velocities and of their increments
     v_first, i_first = (0, 2) if dim == 2 else (1, 1)
     before = LINE_LANES - 1
 
     @inline
     def determinant(F, first):
-        """Of the tensors (d, d) in the rows from the first on."""
+        """Return determinants of the tensors (d, d) in the rows from `first` on."""
         if dim == 2:
             return load(F, first) * load(F, first + 3) - load(F, first + 1) * load(F, first + 2)
         a, b, c = load(F, first), load(F, first + 1), load(F, first + 2)
@@ -83,7 +83,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def volume_ratio(body, block):
-        """J of the points of a block."""
+        """Return J of the points of a block."""
         J = determinant(body.F, block * dim * dim)
         return J * load(body.F33, block) if has_F33 else J
 
@@ -93,7 +93,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def strain(f):
-        """Norm of the strain increment sym(f) - I of relative deformation gradients (d, d)."""
+        """Return the norm of sym(f) - I, the strain increment of relative gradients f (d, d)."""
         total = zeros()
         for j in range(dim):
             normal = load(f, j * dim + j) - 1.0
@@ -105,9 +105,9 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def along_last(first, i, w, d, rows):
-        """Values of both halves of what nodes have, and slopes of the first, on one of their lines.
+        """Interpolate both halves of the rows, and slopes of the first, along one line of nodes.
 
-        In the plane, there is one half.
+        In 2D there is one half.
         """
         low, high, slope = zero_line(), zero_line(), zero_line()
         for c in range(width):
@@ -121,7 +121,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def along_second(first, i, w, d, rows):
-        """The same, with slopes in the second direction, in a plane of nodes in space."""
+        """Interpolate also slopes in the second direction, in a plane of nodes in 3D."""
         if dim == 2:
             low, high, by_y = along_last(first, i, w, d, rows)
             return low, high, by_y, zero_line()
@@ -135,7 +135,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def interpolate(base, w, d, rows, lines):
-        """Values of all that nodes have, and slopes of velocities, at the points of a block."""
+        """Interpolate all nodal values, and slopes of velocities, to the points of a block."""
         for i in range(LANES):
             low, high, start = zero_line(), zero_line(), base[i]
             by_x, by_y, by_z = zero_line(), zero_line(), zero_line()
@@ -154,10 +154,10 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def move(body, block, unit, units, nodes, lines, dt, flip):
-        """Velocity and next position of the points of a block (eqs. 11-13 and 17).
+        """Update velocity and next position of the points of a block (eqs. 11-13 and 17).
 
         Returns:
-            Whether all are finite and inside of the lattice, and inside of their window.
+            Whether all are finite and inside the lattice, and inside their window.
         """
         vector, good, stays = block * dim, True, True
         low = load_columns(lines, _LOW)
@@ -182,7 +182,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def deform(body, block, base, w, lines, f, shares, last_w, averages, dt, average, r, s):
-        """F of the points of a block, and J to the lines of the nodes, to be averaged.
+        """Update F of the points of a block, and add J to the lines of the nodes for averaging.
 
         Returns:
             Whether no point is inverted.
@@ -235,7 +235,7 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
 
     @inline
     def means(body, block, base, w, averages, lines):
-        """Averaged J at the points of a block."""
+        """Return the averaged J at the points of a block."""
         for i in range(LANES):
             total, start = zero_line(), base[i]
             for a in range(width):

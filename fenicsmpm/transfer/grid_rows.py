@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What happens at the nodes in an explicit step: momentum balance, light nodes, conditions.
+"""Nodal part of an explicit step: momentum balance, light nodes, boundary conditions.
 
-Nodes have rows of eight numbers, tile by tile, ``(n_tiles, nodes of a tile, 8)``. Bodies have rows
-of their own, because volumes and J of different bodies do not mix.
+Nodes have rows of eight numbers, tile by tile, ``(n_tiles, nodes of a tile, 8)``. Each body has
+rows of its own, because volumes and J of different bodies must not mix.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -15,18 +15,18 @@ import numpy as np
 from fenicsmpm._njit import njit
 from fenicsmpm.basis.blocks import empty_rows
 
-# Columns of a row, of which vectors have three: before the update of the nodes ...
+# Columns of a row, three for vectors: before the update of the nodes ...
 MASS, MOMENTUM, VOLUME, FORCE = 0, 1, 4, 5
 # ... and after it
 VELOCITY, INCREMENT = MOMENTUM, FORCE
 COLUMNS = 8
 
-# Nodes with less mass than that of anything are empty
+# Nodes with less mass than anything real are empty.
 _NOTHING = 1e-290
 
 
 def tile_rows(tiles: int, per_tile: int) -> np.ndarray:
-    """Zeros ``(tiles, per_tile, 8)``, each row within a cache line."""
+    """Return zeros ``(tiles, per_tile, 8)``, each row within a cache line."""
     rows = empty_rows(tiles * per_tile, COLUMNS)
     rows[:] = 0.0
     return rows.reshape(tiles, per_tile, COLUMNS)
@@ -34,7 +34,7 @@ def tile_rows(tiles: int, per_tile: int) -> np.ndarray:
 
 @njit
 def merge(tiles, copies):
-    """Add the copies of other threads, behind the tiles, to these, and clear them."""
+    """Add the copies of other threads, stored behind the tiles, to the tiles, and clear them."""
     first = len(tiles) - len(copies)
     for c in range(len(copies)):
         tile = copies[c]
@@ -64,7 +64,7 @@ def add_weight(rows, gravity):
 
 @njit(parallel=True)
 def clear(rows):
-    """Zeros in all tiles."""
+    """Set all tiles to zero."""
     for tile in numba.prange(len(rows)):
         for n in range(rows.shape[1]):
             for i in range(rows.shape[2]):
@@ -73,7 +73,7 @@ def clear(rows):
 
 @njit(parallel=True)
 def masses(rows, bounds):
-    """Smallest and largest mass of the nodes in each tile that have some, into ``(n_tiles, 2)``."""
+    """Store the smallest and largest positive nodal mass of each tile in ``(n_tiles, 2)``."""
     for tile in numba.prange(len(rows)):
         low, high = np.inf, 0.0
         for n in range(rows.shape[1]):
@@ -85,10 +85,10 @@ def masses(rows, bounds):
 
 @njit
 def _around(tile, n, ids, nodes, neighbours, around, cells):
-    """Rows of the nodes around the n-th one of a tile and itself, and how many cells they share.
+    """List the rows of the n-th node of a tile and of those around it, with their shared cells.
 
     Returns:
-        How many nodes there are.
+        Number of nodes.
     """
     side, shape = nodes.side, nodes.shape
     per_tile, count = side[0] * side[1] * side[2], 0
@@ -125,20 +125,20 @@ def relieve(rows, bounds, forces, column, of_loads, neighbours, ids, nodes, thre
     """Move forces from light nodes to those around them, as ``light_nodes.LightNodes`` does.
 
     Args:
-        rows: ``(n_tiles, nodes, 8)`` with the masses.
-        bounds: of the masses in each tile, see ``masses``.
-        forces: ``(n_tiles, nodes, n)``, changed in place.
-        column: first of the three with the forces.
-        of_loads: whether they may be where there is no mass, and light nodes take a share.
-        neighbours: ``(n_tiles, 27)`` tiles around each.
-        ids: ``(n_tiles,)`` numbers of the tiles.
-        nodes: of the lattice.
-        threshold: share of the mean mass around a node, below which it is light.
+        rows: Rows with the masses, ``(n_tiles, nodes, 8)``.
+        bounds: Bounds of the masses in each tile, see ``masses``.
+        forces: Array ``(n_tiles, nodes, n)``, changed in place.
+        column: First of the three columns with the forces.
+        of_loads: Whether forces may act where there is no mass, and light nodes take a share.
+        neighbours: Tiles around each tile, ``(n_tiles, 27)``.
+        ids: Numbers of the tiles, ``(n_tiles,)``.
+        nodes: Nodes of the lattice.
+        threshold: Fraction of the mean mass around a node, below which it is light.
     """
     flat, f = rows.reshape(-1, COLUMNS), forces.reshape(-1, forces.shape[2])
     per_tile = rows.shape[1]
     around, cells = np.empty(27, np.int64), np.empty(27, np.int64)
-    # lists of which numba knows the types
+    # lists whose types numba knows
     light, totals = [np.int64(0) for _ in range(0)], [0.0 for _ in range(0)]
     given = [np.zeros(3) for _ in range(0)]
     for tile in range(len(rows)):
@@ -175,9 +175,9 @@ def relieve(rows, bounds, forces, column, of_loads, neighbours, ids, nodes, thre
 
 @njit(parallel=True)
 def update_nodes(rows, bounds, dt, damping):
-    """New velocities of the nodes, eq. 9 (F-bar), with local damping.
+    """Compute new velocities of the nodes, eq. 9 (F-bar), with local damping.
 
-    The damping force is that share of the unbalanced force, against the motion (Al-Kafaji,
+    The damping force is a fraction of the unbalanced force, opposite to the velocity (Al-Kafaji,
     *Formulation of a dynamic material point method for geomechanical problems*, 2013).
     """
     for tile in numba.prange(len(rows)):
@@ -201,7 +201,7 @@ def update_nodes(rows, bounds, dt, damping):
 
 @njit(parallel=True)
 def to_velocities(rows):
-    """Momenta by masses, in place of the momenta."""
+    """Replace momenta by velocities."""
     for tile in numba.prange(len(rows)):
         for n in range(rows.shape[1]):
             m = rows[tile, n, MASS]
@@ -213,17 +213,17 @@ def to_velocities(rows):
 
 @njit
 def reactions(rows, dt, places, components, values, counted):
-    """Forces that prescribed velocities will need, ``(n,)`` [N], before the update.
+    """Return the forces that prescribed velocities will need in the update, ``(n,)`` in N.
 
     Supported nodes are not damped: the reaction to a body at rest is its weight.
 
     Args:
-        rows: ``(n_tiles, nodes, 8)``.
-        dt: time step [s].
-        places: ``(n,)`` rows of the nodes, counted through.
-        components: ``(n,)`` 0, 1 or 2.
-        values: ``(n,)`` [m/s].
-        counted: ``(n_tiles, nodes)`` whether this rank is the one that counts a node.
+        rows: Rows before the update, ``(n_tiles, nodes, 8)``.
+        dt: Time step in s.
+        places: Rows of the nodes in all tiles, ``(n,)``.
+        components: Components 0, 1 or 2, ``(n,)``.
+        values: Prescribed velocities in m/s, ``(n,)``.
+        counted: Whether this rank counts a node, ``(n_tiles, nodes)``.
     """
     forces, flat, counts = np.zeros(len(places)), rows.reshape(-1, COLUMNS), counted.reshape(-1)
     for i in range(len(places)):
@@ -246,7 +246,7 @@ def constrain(rows, places, components, values):
 
 @njit(parallel=True)
 def average_nodes(rows, sums, volumes):
-    """Volume-averaged J at the nodes (F-bar, eq. 19) in place of its sums, and their volumes.
+    """Replace sums of J at the nodes by the volume average (F-bar, eq. 19), and set volumes.
 
     Both are ``(n_tiles, nodes, 1)``. The rows ``(n_tiles, nodes, 8)`` are cleared for the next
     step.

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Forces at nodes of nearly no mass.
+"""Forces at nodes with nearly no mass.
 
-Where points hardly reach a node, what it gets of their mass is round-off, or nearly so, and forces
-on it would throw it ahead. So a node whose mass is below a share of the mean around it takes less
-of the force or none, and what is left goes to the nodes around it in proportion to their masses:
-momentum is kept. Its velocity stays momentum by mass.
+If points hardly reach a node, its mass is of the order of round-off, and forces would accelerate it
+far too much. A node whose mass is below a fraction of the mean around it therefore takes less of
+its force, or none. The rest goes to the nodes around it in proportion to their masses, so momentum
+is conserved. The velocity of the node remains momentum divided by mass.
 
 With linear functions, a point that has just entered a cell gives its far nodes hardly any mass, but
-its full share of stress: an element whose node has the share s of its mass needs ``(c dt / h)^2 < 2
-s``. There, points are deformed by their new velocities, mapped back to the nodes (D. Sulsky, S.-J.
-Zhou, H. L. Schreyer, Computer Physics Communications 87, 1995): a light node may be thrown ahead,
-but the points get a share of it that is as small as its mass.
+its full share of stress: an element whose node has the fraction s of its mass needs ``(c dt / h)^2
+< 2 s``. In that case points are deformed by their new velocities, mapped back to the nodes
+(D. Sulsky, S.-J. Zhou, H. L. Schreyer, Computer Physics Communications 87, 1995). A light node may
+then have a large acceleration, but the points feel it only in proportion to its mass.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from fenicsmpm._njit import njit
 
 Array = npt.NDArray[np.float64]
 
-# Share of the mean mass around a node below which it is light, for the points' own forces: only
-# round-off is kept from what divides by nearly nothing
+# Fraction of the mean mass around a node below which it is light for the points' own forces. It
+# only excludes divisions of round-off by round-off.
 LIGHT = 1e-8
-# The same for loads: they act at surfaces, where functions end
+# The same fraction for loads, which act at surfaces, where functions end
 LIGHT_FOR_LOADS = 0.01
 
 
 class LightNodes:
-    """What is done with forces at nodes of nearly no mass.
+    """Redistribution of forces at nodes with nearly no mass.
 
     Args:
-        space: Lagrange space of degree 1, scalar or blocked, whose nodes are taken (collective).
+        space: Lagrange space of degree 1, scalar or blocked, whose nodes are used. Collective.
     """
 
     def __init__(self, space: fem.FunctionSpace) -> None:
@@ -48,13 +48,13 @@ class LightNodes:
         self._counts = self._sum_over_cells(np.ones((nodes.size_local + nodes.num_ghosts, 1)))
 
     def relieve(self, mass: Array, force: Array, threshold: float, gradually: bool) -> None:
-        """Move forces from light nodes to those around them (collective).
+        """Move forces from light nodes to those around them. Collective.
 
         Args:
-            mass: ``(n_nodes,)`` of all local nodes, ghosts up to date [kg].
-            force: ``(n_nodes, d)`` the same of forces [N], changed in place.
-            threshold: share of the mean mass around a node, below which it is light.
-            gradually: whether a light node takes a share that grows with its mass; else none.
+            mass: Masses in kg of all local nodes, ghosts up to date, ``(n_nodes,)``.
+            force: Forces in N of these nodes, changed in place, ``(n_nodes, d)``.
+            threshold: Fraction of the mean mass around a node, below which it is light.
+            gradually: Whether a light node keeps a share that grows with its mass; else none.
         """
         total = self._sum_over_cells(mass[:, None])
         limit = threshold * (total / self._counts)[:, 0]
@@ -70,7 +70,7 @@ class LightNodes:
         force += mass[:, None] * self._sum_over_cells(given)
 
     def _sum_over_cells(self, values: Array) -> Array:
-        """Sum of nodal values ``(n_nodes, k)`` over all nodes of all cells at each node."""
+        """Sum nodal values ``(n_nodes, k)`` over all nodes of all cells at each node."""
         result = la.vector(self._space.dofmap.index_map, values.shape[1])
         result.array[:] = 0.0
         sums = result.array.reshape(values.shape)

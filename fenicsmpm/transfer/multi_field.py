@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: MIT
 """Contact of bodies with nodal velocities of their own (multi-field contact).
 
-Where two bodies give mass to the same node, they may touch (S. Bardenhagen, J. Brackbill,
-D. Sulsky, CMAME 187, 2000; S. Bardenhagen et al., CMES 2, 2001). The plane between them at a node
-is found from the positions of their points by logistic regression (J. Nairn, C. Hammerquist,
-G. Smith, CMAME 362, 2020), and so is their gap: they feel each other when the domains of their
-points meet, not when their grid functions do.
+Two bodies may touch where both give mass to the same node (S. Bardenhagen, J. Brackbill,
+D. Sulsky, CMAME 187, 2000; S. Bardenhagen et al., CMES 2, 2001). At such a node, logistic
+regression over the positions of their points gives the plane between them and their gap
+(J. Nairn, C. Hammerquist, G. Smith, CMAME 362, 2020). Bodies therefore interact when the domains of
+their points meet, not when their grid functions do.
 
-Where domains overlap, they are pushed apart in proportion to this, and never pulled. The force of a
-node acts on the outermost points, which are those whose overlap it is: then it does the work that
-it has stored. To stop what closes at the nodes instead, as in the papers above, is an inelastic
-collision of all that the nodes see, by which two discs of four cells' radius lose 5 to 8 percent
-of their energy with linear functions.
+Where domains overlap, bodies are pushed apart in proportion to the overlap, and never pulled
+together. The force of a node acts on the outermost points, whose overlap it is. It then returns the
+work that it has stored. The papers above instead stop the approach of the bodies at the nodes. This
+is an inelastic collision of all material that the nodes see: two discs with a radius of four cells
+lose 5 to 8 percent of their energy with linear functions.
 
-Friction is Coulomb's, by impulses at the nodes that stop the slip of the trial velocities of the
-step, as far as the normal force allows: what sticks does not creep.
+Friction is Coulomb's. Impulses at the nodes stop the slip of the step's trial velocities as far as
+the normal force allows, so sticking bodies do not creep.
 
-All of this consists of sums over points at nodes, so points of other ranks take part.
+All quantities are sums over points at nodes, so points of other ranks take part.
 """
 
 from __future__ import annotations
@@ -37,30 +37,30 @@ from fenicsmpm.points import MaterialPoints
 
 Array = npt.NDArray[np.float64]
 
-# Penalty on the squared slope of the regression, in the cell's size: without it, there is no
-# steepest plane between sets of points that do not overlap
+# Penalty on the squared slope of the regression, in units of the cell size. Without it, there is no
+# steepest plane between sets of points that do not overlap.
 _RIDGE = 1e-8
-# Newton's steps of the regression at most, their largest length, and when they are small enough
+# Largest number of Newton steps of the regression, their largest length, and their tolerance
 _ITERATIONS, _LONGEST, _SMALL = 30, 10.0, 1e-3
 # Steepness of the weights that single out the outermost points, per spacing of points
 _STEEPNESS = 5.0
-# Rounds over the pairs of fields where more than two may meet at a node
+# Number of rounds over the pairs of fields where more than two may meet at a node
 _ROUNDS = 20
 
 
 class Cloud(NamedTuple):
-    """Points of a body with what nodes see of them, for compiled loops.
+    """Points of a body and the grid functions at these points, for compiled loops.
 
     Attributes:
-        x: positions ``(n, d)`` [m].
-        mass: ``(n,)`` [kg].
-        radius: ``(n,)`` half the side of the square or cube that a point is at first [m].
-        F: deformation gradients ``(n, 3, 3)``.
-        order: storage indices of the points, group by group.
-        offsets: range of each group in it.
-        table: values of the grid functions, in the order of groups.
-        dofs: nodes of each group.
-        groups: those that see a node at which fields meet.
+        x: Positions in m, ``(n, d)``.
+        mass: Masses in kg, ``(n,)``.
+        radius: Half the side of the initial square or cube of a point in m, ``(n,)``.
+        F: Deformation gradients, ``(n, 3, 3)``.
+        order: Storage indices of the points, group by group.
+        offsets: Range of each group in ``order``.
+        table: Values of the grid functions, in the order of groups.
+        dofs: Nodes of each group.
+        groups: Groups that see a node at which fields meet.
     """
 
     x: Any
@@ -78,11 +78,11 @@ class Side(NamedTuple):
     """One of two fields that meet.
 
     Attributes:
-        bodies: with velocities of the field.
-        clouds: their points.
+        bodies: Bodies with velocities of the field.
+        clouds: Their points.
         sign: -1 for the first and 1 for the second field.
-        mass: ``(n_nodes,)`` [kg].
-        steepness: of the weights of outermost points [1/m].
+        mass: Nodal masses in kg, ``(n_nodes,)``.
+        steepness: Steepness of the weights of outermost points in 1/m.
     """
 
     bodies: Sequence[MaterialPoints]
@@ -96,12 +96,12 @@ class Meeting(NamedTuple):
     """Nodes at which two fields meet; arrays have rows for all local nodes, ghosts included.
 
     Attributes:
-        sides: the two fields.
-        meets: ``(n_nodes,)`` whether both have mass.
-        normal: ``(n_nodes, d)`` from the first to the second.
-        gap: ``(n_nodes,)`` between their points' domains along the normal [m], infinite where they
-            do not meet; negative if they overlap.
-        weights: of the outermost points of each side, summed up ``(n_nodes,)``.
+        sides: The two fields.
+        meets: Whether both have mass, ``(n_nodes,)``.
+        normal: Unit normal from the first to the second field, ``(n_nodes, d)``.
+        gap: Gap between their points' domains along the normal in m, ``(n_nodes,)``; infinite
+            where they do not meet, negative if they overlap.
+        weights: Sum of the weights of outermost points of each side, ``(n_nodes,)``.
     """
 
     sides: tuple[Side, Side]
@@ -112,14 +112,14 @@ class Meeting(NamedTuple):
 
 
 class Interfaces:
-    """Finds where fields meet.
+    """Search for the nodes at which fields meet.
 
     Args:
-        scalars: Lagrange space of degree 1 whose nodes are taken (collective).
+        scalars: Lagrange space of degree 1 whose nodes are used. Collective.
     """
 
     def __init__(self, scalars: fem.FunctionSpace) -> None:
-        """Measure the nodes' shares of the mesh."""
+        """Compute the nodes' shares of the volume of the mesh."""
         self._scalars, self._comm = scalars, scalars.mesh.comm
         self._dim = scalars.mesh.geometry.dim
         share = fem.assemble_vector(fem.form(ufl.TestFunction(scalars) * ufl.dx))
@@ -133,11 +133,11 @@ class Interfaces:
         bodies: tuple[Sequence[MaterialPoints], Sequence[MaterialPoints]],
         masses: tuple[Array, Array],
     ) -> Meeting | None:
-        """The nodes at which two fields meet; None if there are none (collective).
+        """Return the nodes at which two fields meet; None if there are none. Collective.
 
         Args:
-            bodies: of each field, with "mass", "V_0" and "F".
-            masses: ``(n_nodes,)`` of each field at all local nodes, ghosts up to date [kg].
+            bodies: Bodies of each field, with "mass", "V_0" and "F".
+            masses: Masses of each field in kg at all local nodes, with ghosts, ``(n_nodes,)``.
         """
         meets = (masses[0] > 0) & (masses[1] > 0)
         if not self._comm.allreduce(bool(meets.any()), MPI.LOR):
@@ -155,11 +155,11 @@ class Interfaces:
         return Meeting((first, second), meets, normal, gap, (weights[0], weights[1]))
 
     def point_forces(self, meeting: Meeting, push: Array) -> list[tuple[MaterialPoints, Array]]:
-        """Forces of nodes on the outermost points of both sides, ``(n_points, d)`` [N].
+        """Return forces of nodes on the outermost points of both sides in N, ``(n_points, d)``.
 
         Args:
-            meeting: of two fields.
-            push: ``(n_nodes,)`` by which each node pushes them apart [N].
+            meeting: Nodes at which two fields meet.
+            push: Force in N by which each node pushes them apart, ``(n_nodes,)``.
         """
         result = []
         for side, weight in zip(meeting.sides, meeting.weights, strict=True):
@@ -202,11 +202,11 @@ class Interfaces:
         return Side(bodies, clouds, sign, mass, _STEEPNESS / (2 * mean))
 
     def _normals(self, sides: tuple[Side, Side], meets: npt.NDArray[np.bool_]) -> Array:
-        """Normals ``(n_nodes, d)`` of planes between points, by Newton's method at all nodes.
+        """Return normals ``(n_nodes, d)`` of planes between points, by Newton's method.
 
-        Least ``-sum_p w_p ln P_p + r |n|^2 / 2``, ``P_p = 1 / (1 + exp(-c_p (n . xi_p + n_0)))``,
-        with c_p = -1 and 1 on the two sides, ``xi = (x - x_I) / h`` and weights N_I m_p that have
-        the same sum on both sides.
+        They minimize ``-sum_p w_p ln P_p + r |n|^2 / 2``, ``P_p = 1 / (1 + exp(-c_p (n . xi_p +
+        n_0)))``, with c_p = -1 and 1 on the two sides, ``xi = (x - x_I) / h``, and weights N_I m_p
+        that have the same sum on both sides.
         """
         dim, size = self._dim, self._dim + 1
         rows, columns = np.triu_indices(size)
@@ -232,7 +232,7 @@ class Interfaces:
         return np.divide(normal, length, out=normal, where=length > 0)
 
     def _sum(self, side: Side, size: int, add: Any, *arrays: npt.NDArray[Any]) -> Array:
-        """Sum a function of point and node over points, ``(n_nodes, size)`` (collective)."""
+        """Sum a function of point and node over points, ``(n_nodes, size)``. Collective."""
         result = la.vector(self._scalars.dofmap.index_map, size)
         result.array[:] = 0.0
         sums = result.array.reshape(-1, size)
@@ -246,7 +246,7 @@ class Interfaces:
 
 @njit
 def _add_logistic(cloud, meets, nodes, sizes, planes, sign, sums):  # type: ignore[no-untyped-def]
-    """Gradient and upper half of the Hessian of the regression, see ``Interfaces._normals``."""
+    """Add gradient and upper half of the Hessian of the regression: ``Interfaces._normals``."""
     dim = nodes.shape[1]
     xi = np.ones(dim + 1)
     for group in cloud.groups:
@@ -272,7 +272,7 @@ def _add_logistic(cloud, meets, nodes, sizes, planes, sign, sums):  # type: igno
 
 @njit
 def _height(cloud, p, node, direction):  # type: ignore[no-untyped-def]
-    """How far a point's domain, a ball deformed by F, reaches beyond a node in a direction [m]."""
+    """Return how far in m a point's domain, a ball deformed by F, reaches beyond a node."""
     z, squared = 0.0, 0.0
     for i in range(len(node)):
         z += (cloud.x[p, i] - node[i]) * direction[i]
@@ -285,7 +285,7 @@ def _height(cloud, p, node, direction):  # type: ignore[no-untyped-def]
 
 @njit
 def _add_heights(cloud, meets, nodes, directions, steepness, sums):  # type: ignore[no-untyped-def]
-    """Weights ``w = N_I m exp(s z)`` of points by their heights z, and w z: their mean is z."""
+    """Add weights ``w = N_I m exp(s z)`` of points by their heights z, and w z: their mean is z."""
     for group in cloud.groups:
         for a in range(cloud.dofs.shape[1]):
             node = cloud.dofs[group, a]
@@ -303,7 +303,7 @@ def _add_heights(cloud, meets, nodes, directions, steepness, sums):  # type: ign
 def _add_forces(  # type: ignore[no-untyped-def]
     cloud, pushes, nodes, directions, steepness, vectors, forces
 ):
-    """Share out forces of nodes, given per weight, with the weights of ``_add_heights``."""
+    """Distribute forces of nodes, given per weight, with the weights of ``_add_heights``."""
     for group in cloud.groups:
         for a in range(cloud.dofs.shape[1]):
             node = cloud.dofs[group, a]
@@ -318,13 +318,13 @@ def _add_forces(  # type: ignore[no-untyped-def]
 
 
 class Grip(NamedTuple):
-    """What rubs where two fields meet.
+    """Data for friction between two fields.
 
     Attributes:
-        fields: numbers of the first and the second one.
-        nodes: ``(n,)`` at which they push each other.
-        normal: ``(n, d)`` from the first to the second.
-        limit: ``(n, 1)`` largest impulse of friction [N s].
+        fields: Numbers of the first and the second field.
+        nodes: Nodes at which they push each other, ``(n,)``.
+        normal: Unit normal from the first to the second field, ``(n, d)``.
+        limit: Largest impulse of friction in N s, ``(n, 1)``.
     """
 
     fields: tuple[int, int]
@@ -339,25 +339,26 @@ def rub(
     velocities: Sequence[Array],
     fixed: npt.NDArray[np.bool_],
 ) -> list[Array]:
-    """Stop slip by equal and opposite impulses at the nodes, as far as friction goes.
+    """Stop slip by equal and opposite impulses at the nodes, as far as friction allows.
 
-    Where several pairs meet at a node, they take turns.
+    If several pairs meet at a node, they are treated in turn, repeatedly.
 
     Args:
-        grips: of pairs of fields.
-        masses: ``(n_nodes,)`` of each field [kg].
-        velocities: ``(n_nodes, d)`` of each field at the end of the step, changed in place [m/s].
-        fixed: ``(n_nodes, d)`` components that are prescribed, the same for all fields.
+        grips: Data of the pairs of fields.
+        masses: Masses of each field in kg, ``(n_nodes,)``.
+        velocities: Velocities of each field in m/s at the end of the step, changed in place,
+            ``(n_nodes, d)``.
+        fixed: Mask of prescribed components, the same for all fields, ``(n_nodes, d)``.
 
     Returns:
-        ``(n, d)`` impulses on the second field at the nodes of each pair [N s].
+        Impulses on the second field in N s at the nodes of each pair, ``(n, d)``.
     """
     impulses = [np.zeros_like(grip.normal) for grip in grips]
     for _ in range(1 if len(grips) == 1 else _ROUNDS):
         for grip, impulse in zip(grips, impulses, strict=True):
             nodes, n, (a, b) = grip.nodes, grip.normal, grip.fields
             m_a, m_b = masses[a][nodes, None], masses[b][nodes, None]
-            # momentum that there would be without this pair's impulse
+            # momentum without this pair's impulse
             apart = m_a * m_b / (m_a + m_b) * (velocities[b][nodes] - velocities[a][nodes])
             apart -= impulse
             slip = apart - np.sum(apart * n, axis=1, keepdims=True) * n

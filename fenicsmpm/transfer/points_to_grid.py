@@ -29,18 +29,19 @@ def p2g(
     rounded: bool = False,
     positive: bool = False,
 ) -> la.Vector:
-    """Sum point values to the grid, ``sum_p N_I(x_p) values_p``.
+    """Sum point values to the grid, ``sum_p N_I(x_p) values_p``. Collective.
 
     Args:
-        points: the point set.
-        values: ``(n_points,)`` or ``(n_points, size)`` in storage order, such as the weights.
-        space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are taken.
-        rounded: take functions that may be zero but for round-off for its largest size.
-        positive: functions with a slope are not zero, see ``PointStencil.positive_table``; for
-            linear spaces only.
+        points: The point set.
+        values: Values in storage order, such as the weights, ``(n_points,)`` or
+            ``(n_points, size)``.
+        space: Lagrange space on the points' mesh, scalar or blocked, whose nodes are used.
+        rounded: Whether functions that are zero up to round-off count with the size of round-off.
+        positive: Whether functions with a slope must not be zero, see
+            ``PointStencil.positive_table``; for linear spaces only.
 
     Returns:
-        Vector with ``size`` numbers a node, summed over all ranks, ghosts up to date (collective).
+        Vector with ``size`` numbers per node, summed over all ranks, ghosts up to date.
     """
     stencil = stencil_of(points)
     size = 1 if values.ndim == 1 else values.shape[1]
@@ -65,26 +66,27 @@ def project(
     gradients: Mapping[str, str] | None = None,
     mass: str = "mass",
 ) -> None:
-    """Mass-weighted lumped projection of fields to the grid (VMS, algorithm 1, line 7).
+    """Project fields to the grid, mass-weighted and lumped (VMS, algorithm 1, line 7). Collective.
 
     ``f_I = sum_p N_I(x_p) m_p f_p / m_I`` with ``m_I = sum_p N_I(x_p) m_p``; zero at nodes
-    without mass. With the field's gradient, f_p is first continued to the node,
-    ``f_p + G_p (x_I - x_p)``: linear fields are then exact at nodes with points on one side only,
-    too (Nakamura, Matsumura, Mizutani, CMAME 410, 2023). Collective.
+    without mass. If the gradient G of a field is given, f_p is first extrapolated to the node,
+    ``f_p + G_p (x_I - x_p)``. Linear fields are then exact even at nodes with points on one side
+    only (Nakamura, Matsumura, Mizutani, CMAME 410, 2023).
 
     Args:
-        point_sets: bodies that have the fields.
-        functions: by the field's name, of Lagrange spaces, scalar or blocked like its values.
-        gradients: names of fields of gradients ``(*value_shape, d)`` [1/m], by the field's name.
-        mass: name of the field of masses, or "weight" for volumes.
+        point_sets: Bodies that have the fields.
+        functions: Lagrange functions by the field's name, scalar or blocked like its values.
+        gradients: Names of the fields of gradients ``(*value_shape, d)`` in units of the field per
+            m, by the field's name.
+        mass: Name of the field of masses, or "weight" for volumes.
     """
     gradients = gradients or {}
     spaces = {id(f.function_space): f.function_space for f in functions.values()}
     for key, space in spaces.items():
         fields = {name: f for name, f in functions.items() if id(f.function_space) == key}
         slopes = {name: gradients[name] for name in fields if name in gradients}
-        # A node that points see by round-off only has a mass of any sign. With a positive
-        # share instead it gets a mean of what is near.
+        # A node that points see by round-off only could have a mass of any sign. With a small
+        # positive value instead, it gets a mean of what is near.
         sums = sum(
             p2g(points, _columns(points, fields, slopes, mass), space, rounded=True).array
             for points in point_sets
@@ -105,7 +107,7 @@ def project(
 def _columns(
     points: MaterialPoints, names: Iterable[str], slopes: Mapping[str, str], mass: str
 ) -> npt.NDArray[np.float64]:
-    """``(n_points, size)``: mass, then m f less m G x of each field, then m G of those with G."""
+    """Return for each point mass, m f less m G x of each field, then m G of those with G."""
     n, dim = points.x.shape
     flat = {
         name: points[name].reshape(n, math.prod(points.field_shape(name)))
@@ -122,7 +124,7 @@ def _columns(
 
 
 def _node_positions(function: fem.Function) -> npt.NDArray[np.float64]:
-    """``(n_nodes, d)`` where the nodes of a Lagrange function are; the mesh does not move."""
+    """Return positions of the nodes of a Lagrange function, ``(n_nodes, d)``; cached."""
     if function not in _POSITIONS:
         space = function.function_space
         _POSITIONS[function] = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Nodes of tiles that several ranks have: their sums, and ways from dolfinx' dofs to tiles.
+"""Tiles whose nodes several ranks share: sums over ranks, and links from dolfinx' dofs to tiles.
 
-Who has a tile is known to one rank each, by the tile's number. Each rank that wants the sums at a
-node adds what all of them give to it in the order of ranks, so all have the same sums bit by bit.
+For each tile one rank, the keeper, knows which ranks have it; it follows from the tile's number.
+Each rank that needs the sums at a node adds the contributions of all ranks in their order. All
+ranks thus get the same sums bit by bit.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -38,7 +39,7 @@ def _pack(rows, chosen, packed):
 
 @njit
 def _copy(values, places, dofs, index, nodal):
-    """Rows ``places`` of values to rows ``dofs[index]`` of nodal values."""
+    """Copy rows ``places`` of values to rows ``dofs[index]`` of nodal values."""
     for i in range(len(places)):
         for k in range(values.shape[1]):
             nodal[dofs[index[i]], k] = values[places[i], k]
@@ -59,18 +60,18 @@ def _add(rows, chosen, packed):
 
 
 class Sharing:
-    """Who has which tiles, of all bodies or of one, and who adds to which of their nodes.
+    """Ranks that have tiles of all bodies or of one, and that add to their nodes.
 
     Args:
-        comm: of the mesh.
-        layout: tiles of this rank.
+        comm: Communicator of the mesh.
+        layout: Tiles of this rank.
 
     Attributes:
-        counted: ``(n_tiles, nodes)`` whether this rank is the first one that adds to a node.
+        counted: Whether this rank is the first one that adds to a node, ``(n_tiles, nodes)``.
     """
 
     def __init__(self, comm: MPI.Intracomm, layout: Layout) -> None:
-        """Ask (collective)."""
+        """Exchange tile numbers. Collective."""
         self.comm, self.layout = comm, layout
         self.counted = layout.touched.copy()
         self._give: dict[int, Integers] = {}
@@ -86,7 +87,7 @@ class Sharing:
         nodes = self._entries["touched"][giver] & self._entries["wanted"][taker]
         keep = nodes.any(axis=1) & (ranks[giver] != ranks[taker])
         giver, taker, nodes = giver[keep], taker[keep], nodes[keep]
-        # what a rank adds to, another may want
+        # one rank may need nodes that another one adds to
         gives = {"id": ids[giver], "rank": ranks[taker], "nodes": nodes}
         takes = {"id": ids[taker], "rank": ranks[giver], "nodes": nodes}
         self._give = self._by_rank(exchange(comm, ranks[giver], gives))
@@ -96,7 +97,7 @@ class Sharing:
                 self.counted.reshape(-1)[places] = False
 
     def _by_rank(self, pairs: dict[str, npt.NDArray]) -> dict[int, Integers]:
-        """Rows of nodes in the tiles, counted through, for each other rank, all ascending."""
+        """Return rows of the nodes in all tiles for each other rank, ascending."""
         places, per_tile = np.searchsorted(self.layout.ids, pairs["id"]), pairs["nodes"].shape[1]
         rows = {}
         for rank in np.unique(pairs["rank"]):
@@ -106,7 +107,7 @@ class Sharing:
         return rows
 
     def holders(self, ids: Integers) -> tuple[Integers, Integers]:
-        """Ranks that have tiles, of which this rank is the keeper.
+        """Return the ranks that have tiles of which this rank is the keeper.
 
         Returns:
             Indices of the tiles in ``ids``, and a rank for each.
@@ -129,12 +130,12 @@ def _entries_of(layout: Layout, rank: int) -> dict[str, npt.NDArray]:
 
 
 def _keeper(ids: Integers, comm: MPI.Intracomm) -> npt.NDArray[np.int32]:
-    """Ranks that know who has tiles."""
+    """Return the ranks that know who has tiles."""
     return (ids % comm.size).astype(np.int32)
 
 
 def _pairs(ids: Integers) -> tuple[Integers, Integers]:
-    """All pairs of entries with the same number, which are in ascending order."""
+    """Return all pairs of entries with the same number; numbers are ascending."""
     first = np.searchsorted(ids, ids, side="left")
     count = np.searchsorted(ids, ids, side="right") - first
     one = np.repeat(np.arange(len(ids)), count)
@@ -146,12 +147,12 @@ class Sums:
     """Sums over ranks at the nodes that they share.
 
     Args:
-        sharing: who has which tiles.
-        columns: numbers of a node.
+        sharing: Ranks that have the tiles.
+        columns: Number of values per node.
     """
 
     def __init__(self, sharing: Sharing, columns: int) -> None:
-        """Allocate what is sent and received, once for all steps of a block."""
+        """Allocate the buffers, once for all steps of a block."""
         comm = sharing.comm
         self._columns = columns
         self._give = list(sharing._give.items())
@@ -175,7 +176,7 @@ class Sums:
         self._rank = comm.rank
 
     def add(self, tiles: Floats) -> None:
-        """Sum up tiles ``(n_tiles, nodes, columns)``, contiguous, in place (collective)."""
+        """Sum up tiles ``(n_tiles, nodes, columns)``, contiguous, in place. Collective."""
         if not self._requests:
             return
         flat = tiles.reshape(-1, self._columns)
@@ -190,7 +191,7 @@ class Sums:
             _add(flat, self._take[rank], self._taken[rank])
 
     def free(self) -> None:
-        """Give the requests back to MPI."""
+        """Return the requests to MPI."""
         for request in self._requests:
             request.Free()
         self._requests = []
@@ -198,38 +199,38 @@ class Sums:
 
 @njit
 def _fill_vertices(dofs, vertices, vertex):
-    """``vertex[dofs] = vertices``, for which numpy would copy all indices with 8 bytes each."""
+    """Set ``vertex[dofs] = vertices``; numpy would copy all indices with 8 bytes each."""
     for c in range(len(dofs)):
         for i in range(dofs.shape[1]):
             vertex[dofs[c, i]] = vertices[c, i]
 
 
 class NodeNumbers:
-    """Dolfinx' numbers of the nodes of a lattice, for a linear space.
+    """dolfinx' numbers of the nodes of a lattice, for a linear space.
 
     Args:
-        V: linear space, scalar or blocked, on a lattice (collective).
+        V: Linear space, scalar or blocked, on a lattice. Collective.
     """
 
     def __init__(self, V: fem.FunctionSpace) -> None:
-        """Take what dolfinx knows of the cells: there may be many nodes, and few with points."""
+        """Read what dolfinx knows of the cells: there may be many nodes, and few with points."""
         self._lattice, self._x = lattice_of(V.mesh), V.mesh.geometry.x
         self._vertices, self._dofs = _compat.geometry_dofmap(V.mesh), V.dofmap.list
         self._owned = V.dofmap.index_map.size_local
 
     def positions(self, dofs: npt.NDArray[np.integer]) -> Floats:
-        """Where nodes are, ``(n, 3)`` [m]."""
+        """Return positions of nodes in m, ``(n, 3)``."""
         return self._x[self._vertex[dofs]] if len(dofs) else np.empty((0, 3))
 
     @functools.cached_property
     def _vertex(self) -> npt.NDArray[np.int32]:
-        """Node of the mesh's geometry of each dof, made when there are conditions at some."""
+        """Geometry node of the mesh of each dof, computed when conditions need it."""
         vertex = np.empty(len(self._x), dtype=np.int32)
         _fill_vertices(self._dofs, self._vertices, vertex)
         return vertex
 
     def owned_in(self, tiles: Integers, nodes: Nodes) -> tuple[npt.NDArray[np.int32], Floats]:
-        """Owned nodes in some tiles, ascending, and where they are, ``(n, 3)`` [m]."""
+        """Return owned nodes in some tiles, ascending, and their positions in m, ``(n, 3)``."""
         every = nodes.in_tiles(tiles).reshape(-1, 3)
         index = every[np.all(every < nodes.shape, axis=1)]
         dofs = self._lattice.nodes(index[:, : len(self._lattice.shape)], self._dofs)
@@ -239,22 +240,22 @@ class NodeNumbers:
 
 
 class DofLink:
-    """From nodal values on dolfinx' owned dofs to the tiles of all ranks, and back.
+    """Link from nodal values on dolfinx' owned dofs to the tiles of all ranks, and back.
 
     Args:
-        sharing: who has which tiles.
-        nodes: of the lattice.
-        x: ``(n, 3)`` where this rank's nodes are that are linked [m].
+        sharing: Ranks that have the tiles.
+        nodes: Nodes of the lattice.
+        x: Positions in m of this rank's linked nodes, ``(n, 3)``.
 
     Attributes:
-        places: ``(m,)`` rows of the nodes in this rank's tiles, counted through, that are near its
-            points.
-        index: ``(m,)`` where they are in ``x`` of the rank that owns them.
-        asked: ``(k,)`` which of this rank's nodes are asked for, by rank and in that one's order.
+        places: Rows of linked nodes near the points in all tiles of this rank, ``(m,)``.
+        index: Index of these nodes in ``x`` of the rank that owns them, ``(m,)``.
+        asked: This rank's nodes that others need, by rank and in the order of that rank,
+            ``(k,)``.
     """
 
     def __init__(self, sharing: Sharing, nodes: Nodes, x: Floats) -> None:
-        """Find the ways (collective)."""
+        """Find the links. Collective."""
         comm, ids = sharing.comm, sharing.layout.ids
         self._comm = comm
         tile, node = nodes.places(x)
@@ -264,7 +265,7 @@ class DofLink:
             "index": np.arange(len(x)),
             "owner": np.full(len(x), comm.rank, dtype=np.int32),
         }
-        # to the tiles' keepers, and from these to the ranks that have them
+        # to the tiles' keepers, and from there to the ranks that have the tiles
         if comm.size > 1:
             data = exchange(comm, _keeper(tile, comm), data)
         which, holder = sharing.holders(data["tile"])
@@ -291,22 +292,22 @@ class DofLink:
             self._index_from_away = told_to["index"]
 
     def spread(self, values: Floats) -> Floats:
-        """Values ``(n, ...)`` of owned dofs at ``places``, ``(m, ...)`` (collective)."""
+        """Send values ``(n, ...)`` of owned dofs to ``places``, ``(m, ...)``. Collective."""
         sent = values[self.asked]
         if self._comm.size == 1:
             return sent
         return exchange(self._comm, self._to, {"value": sent})["value"]
 
     def collect(self, values: Floats, dofs: npt.NDArray[np.int32], nodal: Floats) -> None:
-        """Values ``(rows of tiles, k)`` to owned dofs of a function (collective).
+        """Send values ``(rows of tiles, k)`` to owned dofs of a function. Collective.
 
-        Where several ranks have a node, the first one that adds to it says what it has. Nodes that
-        no points touch are left as they are.
+        If several ranks have a node, the value of the first one that adds to it counts. Nodes that
+        no points touch keep their values.
 
         Args:
-            values: of this rank's tiles.
-            dofs: ``(n,)`` of the nodes ``x``.
-            nodal: ``(owned dofs or more, k)``, to be set.
+            values: Values of this rank's tiles.
+            dofs: Dofs of the nodes ``x``, ``(n,)``.
+            nodal: Result ``(owned dofs or more, k)``.
         """
         _copy(values, self._here, dofs, self._index_here, nodal)
         if self._comm.size > 1:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stresses of eight points at once, or of one after the other (numba)."""
+"""Stresses of eight points at once, or of one point after the other (numba)."""
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 
@@ -14,18 +14,19 @@ from fenicsmpm.lanes import LANES, tensors, works_on_rows
 
 @functools.cache
 def stresses(update: Any, update_eight: Any, n_state: int, rates: bool) -> Any:
-    """Compile the numba function that sets the stresses of a block of points by a law.
+    """Compile the numba function that computes the stresses of a block of points by a law.
 
     Its arguments are the block, its deformation gradients and velocity gradients ``(9, 8)``, the
     law's parameters, the states of all blocks ``(n_blocks * n_state, 8)``, work arrays
-    ``(3, 3, 3)`` and ``(n_state,)``, and the stresses, to be set in nine rows of an array from one
-    on.
+    ``(3, 3, 3)`` and ``(n_state,)``, and the stresses, written to nine rows of an array from a
+    given row on.
 
     Args:
-        update: function of the law.
-        update_eight: the same for eight points, where it is easy, or None.
-        n_state: how many numbers the law remembers.
-        rates: the law needs velocity gradients.
+        update: Function of the law.
+        update_eight: The same for eight points at once, or None. It returns False where it
+            cannot, such as at points that need iterations.
+        n_state: Number of state variables of the law.
+        rates: Whether the law needs velocity gradients.
     """
 
     @inline

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""The lattice of an explicit step in tiles, which exist where there are points.
+"""The lattice of an explicit step in tiles, which exist only where there are points.
 
-Tiles have 8 x 8 nodes in the plane and 4 x 4 x 4 in space, and are numbered through, the last
-direction fastest, as nodes are, whatever dolfinx' numbers are. Points are sorted by the tile of the
-first node of their stencil; those of a tile are a *unit* of work. What they give to the nodes is
-summed up in a *window*, the tile with a rim, which stays in the first cache. The rim has a margin
-for points that drift; when one has drifted further, tiles are laid anew.
+Tiles have 8 x 8 nodes in 2D and 4 x 4 x 4 in 3D. Tiles and nodes are numbered with the last
+direction fastest, independently of dolfinx' numbers. Points are sorted by the tile of the first
+node of their stencil; those of a tile are a *unit* of work. Their contributions to the nodes are
+summed up in a *window*, the tile with a rim, which fits into the first-level cache. The rim has a
+margin for points that drift. If a point has drifted further, tiles are built anew.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -26,7 +26,7 @@ from fenicsmpm.points.boxes import all_owned
 from fenicsmpm.points.geometry import CellGeometry
 from fenicsmpm.points.sorting import sort_by_number
 
-# Points that are as near to a facet, in cells, may belong to either cell
+# Points closer to a facet than this, in cells, may belong to either cell.
 _ON_FACET = 1e-6
 
 Floats = npt.NDArray[np.float64]
@@ -37,15 +37,15 @@ Numbers = npt.NDArray[np.int32]
 class Nodes(NamedTuple):
     """Nodes of a lattice on all ranks, for compiled loops.
 
-    In the plane, the third direction has one node.
+    In 2D the third direction has one node.
 
     Attributes:
-        origin: ``(3,)`` lowest node [m].
-        upper: ``(3,)`` highest node [m].
-        per_metre: ``(3,)`` cells per metre.
-        shape: ``(3,)`` number of nodes in each direction.
-        side: ``(3,)`` nodes of a tile in each direction.
-        tiles: ``(3,)`` number of tiles in each direction.
+        origin: Position of the lowest node in m, ``(3,)``.
+        upper: Position of the highest node in m, ``(3,)``.
+        per_metre: Cells per metre, ``(3,)``.
+        shape: Number of nodes in each direction, ``(3,)``.
+        side: Number of nodes of a tile in each direction, ``(3,)``.
+        tiles: Number of tiles in each direction, ``(3,)``.
     """
 
     origin: Floats
@@ -61,9 +61,9 @@ class Nodes(NamedTuple):
         return int(np.prod(self.side))
 
     def in_tiles(self, tiles: Integers) -> Integers:
-        """Numbers of the nodes of tiles in each direction, ``(n_tiles, nodes of a tile, 3)``.
+        """Return node numbers in each direction, ``(n_tiles, nodes of a tile, 3)``.
 
-        Tiles at the upper ends go on beyond the lattice.
+        Tiles at the upper ends extend beyond the lattice.
         """
         each = [np.arange(n) for n in self.side]
         in_tile = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -71,7 +71,7 @@ class Nodes(NamedTuple):
         return np.asarray(first[:, None] + in_tile)
 
     def places(self, x: Floats) -> tuple[Integers, Integers]:
-        """Tiles of the nodes at positions ``(n, 3)`` [m], and their numbers in them."""
+        """Return tiles of the nodes at positions ``(n, 3)`` in m, and their places in these."""
         index = np.rint((x - self.origin) * self.per_metre).astype(np.int64)
         tile, node = index // self.side, index % self.side
         flat = [
@@ -82,7 +82,7 @@ class Nodes(NamedTuple):
 
 
 def make_nodes(origin: Floats, spacing: Floats, cells: Integers) -> Nodes:
-    """Nodes of a lattice by its lowest corner, and size and number of its cells, each ``(d,)``."""
+    """Return nodes from lowest corner, size and number of cells of a lattice, each ``(d,)``."""
     dim = len(spacing)
     lowest, highest = np.zeros(3), np.zeros(3)
     per_metre, shape = np.ones(3), np.ones(3, dtype=np.int64)
@@ -96,27 +96,27 @@ def make_nodes(origin: Floats, spacing: Floats, cells: Integers) -> Nodes:
 
 
 def nodes_of(lattice: Lattice) -> Nodes:
-    """Nodes of a lattice."""
+    """Return the nodes of a lattice."""
     return make_nodes(lattice.origin, lattice.spacing, lattice.shape)
 
 
 @njit
 def first_node(t, n, width):
-    """First node of the stencil of a point at t, in cells, of n nodes in a direction."""
+    """Return the first node of a point at t, in cells, of n nodes in a direction."""
     first = int(np.floor(t + 0.5)) - 1 if width == 3 else int(np.floor(t)) - (width - 1) // 2
     return min(max(first, 0), n - width)
 
 
 @njit
 def row_of(i, j, k, nodes, ids):
-    """Row of a node by its numbers in each direction; -1 where there is no tile.
+    """Return the row of a node by its numbers in each direction; -1 without a tile.
 
     Args:
-        i: number in the first direction.
-        j: in the second one.
-        k: in the third one.
-        nodes: of the lattice.
-        ids: numbers of the tiles that there are, in ascending order.
+        i: Number in the first direction.
+        j: Number in the second direction.
+        k: Number in the third direction.
+        nodes: Nodes of the lattice.
+        ids: Numbers of the existing tiles, ascending.
     """
     side, tiles = nodes.side, nodes.tiles
     tile = ((i // side[0]) * tiles[1] + j // side[1]) * tiles[2] + k // side[2]
@@ -129,11 +129,11 @@ def row_of(i, j, k, nodes, ids):
 
 @njit
 def sort_keys(x, nodes, width):
-    """Numbers by which points ``(n, d)`` are sorted, and their occupied tiles.
+    """Return keys by which points ``(n, d)`` are sorted, and their occupied tiles.
 
     Returns:
-        keys ``(n,)``, the tile's place among the occupied ones times its nodes, and the first node
-        in it; and the tiles in each direction, ``(n_tiles, 3)``.
+        Keys ``(n,)``: the tile's place among the occupied ones times its nodes, plus the first node
+        in it. And the tiles in each direction, ``(n_tiles, 3)``.
     """
     n, dim = x.shape
     side, per_tile = nodes.side, nodes.side[0] * nodes.side[1] * nodes.side[2]
@@ -172,12 +172,12 @@ def sort_keys(x, nodes, width):
 
 @njit
 def fill_blocks(keys, per_tile, count):
-    """Order of points in blocks of eight, of which each belongs to one tile.
+    """Return the order of points in blocks of eight, each of which belongs to one tile.
 
-    Blocks are filled up by copies of their tile's last point, written ``-1 - p``.
+    Blocks are filled up with copies of their tile's last point, written ``-1 - p``.
 
     Returns:
-        order ``(8 n_blocks,)`` and the first block of each tile, ``(count + 1,)``.
+        The order ``(8 n_blocks,)`` and the first block of each tile, ``(count + 1,)``.
     """
     order, offsets = sort_by_number(keys, count * per_tile)
     blocks = np.zeros(count + 1, np.int64)
@@ -199,17 +199,17 @@ class Units(NamedTuple):
     """Points by tile, for compiled loops.
 
     Attributes:
-        chunks: ``(threads + 1,)`` first unit of each thread.
-        blocks: ``(n + 1,)`` first block of eight points of each unit.
-        lower: ``(n, 3)`` first node of each window.
-        t_low: ``(n, 3)`` lowest position, in cells, of points whose nodes are in the window.
-        t_high: ``(n, 3)`` highest position.
-        source: ``(n, 27)`` tiles around each unit's one, among those of all bodies; -1 for none.
-        body_source: ``(n, 27)`` among those of the points' body.
-        target: ``(n, 27)`` among those of the body that the unit's thread adds to.
-        first: ``(n, 3)`` first nodes in the windows that points have where they are; kernels keep
-            it up to date.
-        last: ``(n, 3)`` last ones.
+        chunks: First unit of each thread, ``(threads + 1,)``.
+        blocks: First block of eight points of each unit, ``(n + 1,)``.
+        lower: First node of each window, ``(n, 3)``.
+        t_low: Lowest position, in cells, of points whose nodes are in the window, ``(n, 3)``.
+        t_high: Highest position, likewise.
+        source: Tiles around the unit's tile, among those of all bodies; -1 for none; ``(n, 27)``.
+        body_source: Tiles among those of the points' body, ``(n, 27)``.
+        target: Tiles of the body that the unit's thread adds to, ``(n, 27)``.
+        first: First nodes in the windows that the points see now, updated by the kernels,
+            ``(n, 3)``.
+        last: Last nodes, likewise.
     """
 
     chunks: Integers
@@ -226,7 +226,7 @@ class Units(NamedTuple):
 
 @njit
 def reaches(keys, nodes, occupied, width, margin):
-    """First nodes ``(n_tiles, 3)`` that points of each tile may have, lowest and highest."""
+    """Return lowest and highest first nodes ``(n_tiles, 3)`` that points of each tile may have."""
     side = nodes.side
     per_tile = side[0] * side[1] * side[2]
     low = np.full((len(occupied), 3), np.iinfo(np.int64).max)
@@ -247,7 +247,7 @@ def reaches(keys, nodes, occupied, width, margin):
 
 @njit
 def around(x, nodes, width, margin):
-    """First nodes ``(n, 3)`` that points ``(n, d)`` may have, lowest and highest."""
+    """Return lowest and highest first nodes ``(n, 3)`` that points ``(n, d)`` may have."""
     low, high = np.zeros((len(x), 3), np.int64), np.zeros((len(x), 3), np.int64)
     for p in range(len(x)):
         for k in range(x.shape[1]):
@@ -259,16 +259,17 @@ def around(x, nodes, width, margin):
 
 
 class Layout(NamedTuple):
-    """Tiles that a rank has.
+    """Tiles of a rank.
 
     Attributes:
-        ids: ``(n,)`` their numbers, in ascending order.
-        touched: ``(n, nodes of a tile)`` whether points of this rank may see and add to a node.
-        near: ``(n, nodes of a tile)`` whether it is such a node or next to one, from which forces
-            may be moved there if it is light.
-        wanted: ``(n, nodes of a tile)`` whether sums of all ranks are needed at a node: it is near
-            or next to such, by which light nodes are judged and averages are continued to walls.
-        neighbours: ``(n, 27)`` places of the tiles around each; -1 for none.
+        ids: Numbers of the tiles, ascending, ``(n,)``.
+        touched: Whether points of this rank may see and add to a node, ``(n, nodes of a tile)``.
+        near: Whether a node is touched or next to a touched one, from which forces may move to it
+            if that one is light, ``(n, nodes of a tile)``.
+        wanted: Whether sums of all ranks are needed at a node, ``(n, nodes of a tile)``. It is near
+            or next to such a node; these sums decide which nodes are light, and continue averages
+            to walls.
+        neighbours: Places of the tiles around each one; -1 for none; ``(n, 27)``.
     """
 
     ids: Integers
@@ -279,7 +280,7 @@ class Layout(NamedTuple):
 
 
 def lay(first: Integers, last: Integers, nodes: Nodes) -> Layout:
-    """Tiles with the nodes ``first ... last``, ``(n, 3)`` each, and two more around them."""
+    """Return tiles with the nodes ``first ... last``, ``(n, 3)`` each, and two more around them."""
     touched, near, wanted = (
         (np.maximum(first - ring, 0), np.minimum(last + ring, nodes.shape - 1)) for ring in range(3)
     )
@@ -343,7 +344,7 @@ def _lay(lower, upper, tiles):
 
 @njit
 def chunks_of(blocks, count):
-    """First unit of each of some chunks of about as many blocks, ``(count + 1,)``."""
+    """Return the first unit of chunks of about equally many blocks, ``(count + 1,)``."""
     chunks = np.zeros(count + 1, np.int64)
     for t in range(1, count + 1):
         chunks[t] = np.searchsorted(blocks, blocks[-1] * t // count)
@@ -353,23 +354,23 @@ def chunks_of(blocks, count):
 
 @njit
 def targets(units, low, high, layout, nodes, width, chunks):
-    """Tiles that units add to; a tile of several chunks has a copy for each but the first.
+    """Return the tiles that units add to; a tile of several chunks has copies for the others.
 
     Args:
-        units: ``(n,)`` places of the units' tiles in the layout.
-        low: ``(n, 3)`` lowest first node of the units' points.
-        high: ``(n, 3)`` highest one.
-        layout: of the body.
-        nodes: of the lattice.
-        width: nodes of a function in a direction.
-        chunks: first unit of each.
+        units: Places of the units' tiles in the layout, ``(n,)``.
+        low: Lowest first node of the units' points, ``(n, 3)``.
+        high: Highest first node, ``(n, 3)``.
+        layout: Layout of the body.
+        nodes: Nodes of the lattice.
+        width: Number of nodes per direction that a point sees.
+        chunks: First unit of each chunk.
 
     Returns:
-        targets ``(n, 27)``, and the tile of each copy, in the order of chunks.
+        Targets ``(n, 27)``, and the tile of each copy, in the order of chunks.
     """
     side, count = nodes.side, len(layout.ids)
     result = np.full((len(units), 27), -1, np.int32)
-    # the last chunk that adds to a tile, and what it adds to
+    # the last chunk that adds to a tile, and its target
     chunk_of, place_in = np.full(count, -1, np.int32), np.empty(count, np.int32)
     copies = np.empty(count * max(len(chunks) - 2, 0), np.int32)
     n_copies = 0
@@ -399,7 +400,7 @@ def targets(units, low, high, layout, nodes, width, chunks):
 
 
 def limits(low: Integers, high: Integers, nodes: Nodes, kind: int) -> tuple[Floats, Floats]:
-    """Positions, in cells, of points whose first node is in ``low ... high``, ``(n, 3)`` each."""
+    """Return positions, in cells, of points with first nodes in ``low ... high``, ``(n, 3)``."""
     width = WIDTH[kind]
     shift = 0.5 if width == 3 else float((width - 1) // 2)
     t_low = np.asarray(low + shift, dtype=np.float64)
@@ -410,15 +411,15 @@ def limits(low: Integers, high: Integers, nodes: Nodes, kind: int) -> tuple[Floa
 
 
 def stays_home(units: Units, nodes: Nodes, geometry: CellGeometry) -> npt.NDArray[np.bool_]:
-    """Whether the points of each unit are in cells of this rank as long as tiles are not laid anew.
+    """Return whether points of each unit stay in cells of this rank until tiles are built anew.
 
     Args:
-        units: ``n`` of them.
-        nodes: of the lattice.
-        geometry: of the cells of this rank, on a lattice.
+        units: The n units.
+        nodes: Nodes of the lattice.
+        geometry: Shapes of this rank's cells, on a lattice.
 
     Returns:
-        ``(n,)``; False where some cell in a unit's reach is not of this rank.
+        Mask ``(n,)``; False if some cell in a unit's reach belongs to another rank.
     """
     assert geometry.boxes is not None
     highest = np.maximum(nodes.shape - 2, 0)

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Averages over the grid at the walls of a lattice.
 
-A node's average of something is its value at the centroid of what the node's function weighs. Away
-from walls this is the node. At a wall, where functions end, it lies inside of the node, and what is
-averaged again in each step would lose its slope. So the average is continued to the node along the
-line through it and the next one,
+The average at a node is the value at the centroid of the volume that the node's function weighs.
+Away from walls this centroid is the node. At a wall, where functions end, it lies inside the body,
+and repeated averaging in each step would flatten the field. The average is therefore extrapolated
+to the node along the line through it and the next one,
 
     J_i <- J_i + c (J_i - J_i+1),    c = (x_i - X_i) / (X_i - X_i+1)
 
-with centroids X of the functions, by as many points in each cell as the body has. Linear fields are
+with centroids X of the functions for as many points per cell as the body has. Linear fields are
 then averaged exactly in bodies that fill the cells at a wall. Where the slope changes, as at the
-corners of a clamp, the difference is at most twice the one to the node after the next: singular
-fields are not continued.
+corners of a clamp, the correction is limited to twice the difference between the next two nodes, so
+that singular fields are not extrapolated.
 """
 
 # mypy: disallow_untyped_defs=False
@@ -34,20 +34,20 @@ from fenicsmpm.transfer.tiles import Nodes
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-# Cells on a line of which no more are needed: functions in the middle do not see its ends
+# Number of cells on a line beyond which functions in the middle do not see its ends
 _CELLS = 8
-# Largest difference that is continued, in terms of the next one
+# Largest extrapolated difference in units of the next one
 _STEEPEST = 2.0
 
 
 class WallNodes(NamedTuple):
-    """Nodes whose averages are continued; a node in a corner is there for each direction.
+    """Nodes whose averages are extrapolated; a corner node occurs once for each direction.
 
     Attributes:
-        nodes: ``(n,)`` their numbers.
-        inner: ``(n,)`` those of the next nodes, away from the wall.
-        further: ``(n,)`` those of the nodes after these.
-        shares: ``(n,)`` of the difference, c above.
+        nodes: Numbers of the nodes, ``(n,)``.
+        inner: Numbers of the next nodes away from the wall, ``(n,)``.
+        further: Numbers of the nodes after these, ``(n,)``.
+        shares: Factors c above, ``(n,)``.
     """
 
     nodes: Integers
@@ -57,13 +57,13 @@ class WallNodes(NamedTuple):
 
 
 def wall_shares(kind: int, cells: int, half: float, per_cell: int) -> Array:
-    """Shares c of the nodes at a wall and behind it, up to the last that is not 0.
+    """Return the factors c of the nodes from a wall inwards, up to the last that is not 0.
 
     Args:
-        kind: of grid functions, see `fenicsmpm.basis.lines`.
-        cells: number of cells between the walls.
-        half: half of a point's size in units of a cell (uGIMP).
-        per_cell: number of points in a cell in this direction.
+        kind: Kind of the grid functions, see `fenicsmpm.basis.lines`.
+        cells: Number of cells between the walls.
+        half: Half of a point's size in units of a cell (uGIMP).
+        per_cell: Number of points per cell in this direction.
     """
     cells = min(cells, _CELLS)
     weight, moment = np.zeros(cells + 5), np.zeros(cells + 5)
@@ -71,7 +71,7 @@ def wall_shares(kind: int, cells: int, half: float, per_cell: int) -> Array:
     for cell in range(cells):
         for t in (np.arange(per_cell) + 0.5) / per_cell:
             first = tabulate_line(kind, cell, t, cells, half, values)
-            # what belongs to nodes beyond walls is 0
+            # nodes beyond walls have the value 0
             nodes = first + 2 + np.arange(WIDTH[kind])
             weight[nodes] += values[0]
             moment[nodes] += (cell + t) * values[0]
@@ -82,11 +82,11 @@ def wall_shares(kind: int, cells: int, half: float, per_cell: int) -> Array:
 
 
 def points_in_a_cell(points: MaterialPoints, volume: float) -> int:
-    """How many points a body has in a direction of a full cell, at first (collective).
+    """Return how many points a body has initially per direction of a full cell. Collective.
 
     Args:
-        points: the body, with "V_0".
-        volume: of a cell [m^d].
+        points: The body, with the field "V_0".
+        volume: Volume of a cell in m^d.
     """
     total = points.mesh.comm.allreduce(float(np.sum(points["V_0"])))
     if total == 0.0:
@@ -97,15 +97,15 @@ def points_in_a_cell(points: MaterialPoints, volume: float) -> int:
 def find_wall_nodes(
     index: Integers, shape: Integers, shares: list[Array]
 ) -> tuple[Integers, Integers, Array]:
-    """Which nodes are near walls.
+    """Return the nodes near walls.
 
     Args:
-        index: ``(n, d)`` numbers of nodes in each direction.
-        shape: ``(d,)`` number of nodes of the lattice.
-        shares: of each direction, see ``wall_shares``.
+        index: Numbers of nodes in each direction, ``(n, d)``.
+        shape: Number of nodes of the lattice in each direction, ``(d,)``.
+        shares: Factors c for each direction, see ``wall_shares``.
 
     Returns:
-        Places in ``index``, steps ``(m, d)`` away from the wall, and shares ``(m,)``.
+        Places in ``index``, steps ``(m, d)`` away from the wall, and factors ``(m,)``.
     """
     nodes, steps, factors = [], [], []
     for k, layers in enumerate(shares):
@@ -122,12 +122,12 @@ def find_wall_nodes(
 
 @njit
 def continue_to_walls(means, volumes, walls):
-    """Continue averages ``(n,)`` at nodes to walls, in place, where the next two are not light.
+    """Extrapolate nodal averages to walls, in place, unless the next two nodes are light.
 
     Args:
-        means: ``(n,)`` averages at nodes.
-        volumes: ``(n,)`` of the body at nodes.
-        walls: the nodes, see ``WallNodes``.
+        means: Averages at nodes, ``(n,)``.
+        volumes: Volumes of the body at nodes, ``(n,)``.
+        walls: Nodes near walls, see ``WallNodes``.
     """
     change = np.zeros(len(walls.nodes))
     for i in range(len(change)):
@@ -143,16 +143,16 @@ def continue_to_walls(means, volumes, walls):
 
 
 class WallsOfBody:
-    """The nodes near walls for a body's averages, in whatever numbers its nodes have.
+    """Nodes near walls for the averages of a body, in any numbering.
 
     Without a lattice there are none.
 
     Args:
-        points: the body, with "V_0" (collective).
+        points: The body, with the field "V_0". Collective.
     """
 
     def __init__(self, points: MaterialPoints) -> None:
-        """Find the shares."""
+        """Compute the factors."""
         boxes = locator(points.mesh).geometry.boxes
         self._boxes = boxes
         self._shares: list[Array] = []
@@ -170,10 +170,10 @@ class WallsOfBody:
         ]
 
     def at(self, x: Array) -> WallNodes:
-        """Those among some nodes, which are numbered through.
+        """Return those among given nodes, numbered in the given order.
 
         Args:
-            x: ``(n, 3)`` where the nodes are [m].
+            x: Positions of the nodes in m, ``(n, 3)``.
         """
         if self._boxes is None:
             return self.among(np.empty(0, np.int64), np.empty((0, 3), np.int64))
@@ -182,11 +182,11 @@ class WallsOfBody:
         return self.among(np.arange(len(x)), index)
 
     def among(self, numbers: Integers, index: Integers) -> WallNodes:
-        """Those among some nodes, of which the next two are there, too.
+        """Return those among given nodes whose next two nodes are given, too.
 
         Args:
-            numbers: ``(n,)`` of the nodes.
-            index: ``(n, >= d)`` their numbers in each direction of the lattice.
+            numbers: Numbers of the nodes, ``(n,)``.
+            index: Numbers in each direction of the lattice, ``(n, >= d)``.
         """
         if self._boxes is None or len(index) == 0:
             empty = np.empty(0, np.int64)
@@ -212,14 +212,14 @@ class WallsOfBody:
         return WallNodes(numbers[nodes[chosen]], inner, further, shares[chosen])
 
     def in_tiles(self, ids: Integers, nodes: Nodes) -> WallNodes:
-        """Those in some tiles, numbered through.
+        """Return those in given tiles, numbered tile by tile.
 
         Args:
-            ids: ``(n,)`` numbers of the tiles, in ascending order.
-            nodes: of the lattice.
+            ids: Numbers of the tiles, ascending, ``(n,)``.
+            nodes: Nodes of the lattice.
         """
         tile = np.stack(np.unravel_index(ids, tuple(nodes.tiles)), axis=-1)
-        # near a wall in a direction that has several nodes, or with the next ones of such
+        # tiles near a wall in a direction with several nodes, or that have the next nodes of these
         reach = 2 + max((len(layers) for layers in self._shares), default=0)
         near = (tile * nodes.side < reach) | ((tile + 1) * nodes.side > nodes.shape - reach)
         tiles = np.flatnonzero((near & (nodes.shape > 1)).any(axis=1))

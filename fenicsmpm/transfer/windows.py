@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Between the grid's tiles and the window in which the points of a tile see them (numba).
+"""Copies between the grid's tiles and the window in which the points of a tile see them (numba).
 
-Only those nodes of a window are copied that points have at present. Before a unit of work and after
-it, windows that are added to are empty.
+Only the nodes of a window that points see at present are copied. Windows that are added to are
+empty before and after a unit of work.
 
-Rows of the grid stand tile by tile, ``(n_tiles * nodes of a tile, 8)``. Averages need one number a
-node; their sums are collected in lines of four, of a node and of those after it, because numbers
-that are read soon after they were written must be read as they were written.
+Rows of the grid are stored tile by tile, ``(n_tiles * nodes of a tile, 8)``. Averages need one
+number per node. Their sums are collected in lines of four, of a node and the three after it:
+numbers that are read soon after they were written must be read with the same width.
 """
 
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
@@ -38,13 +38,13 @@ from fenicsmpm.transfer.grid_rows import INCREMENT, VELOCITY
 
 _njit = numba.njit(**INNER)
 
-# What is allocated beyond the last node, for lines that begin there
+# Extra room beyond the last node, for lines that begin there
 SPARE = LINE_LANES
 
 
 @numba.njit(forceinline=True, **INNER)
 def scratch_rows(n, lanes):
-    """Zeros ``(n, lanes)`` in compiled code, each row or line within a cache line."""
+    """Return zeros ``(n, lanes)`` in compiled code, each row or line within a cache line."""
     memory = np.zeros(n * lanes + LANES)
     skip = (LANES - memory.ctypes.data // 8 % LANES) % LANES
     return memory[skip : skip + n * lanes].reshape(n, lanes)
@@ -61,7 +61,7 @@ class Windows(NamedTuple):
 
 @functools.cache
 def windows(dim: int, width: int) -> Windows:
-    """Compile copies between tiles and windows, for functions of some nodes a direction."""
+    """Compile copies between tiles and windows, for functions of `width` nodes per direction."""
     shape = window(dim, width)
     side, margin, far, near = shape.side, shape.margin, shape.far, shape.near
     before = LINE_LANES - 1
@@ -72,15 +72,15 @@ def windows(dim: int, width: int) -> Windows:
 
     @inline
     def extent(i, n, rim, first, last):
-        """Which nodes of the i-th of three tiles of n, from the middle one on, are wanted."""
+        """Return the wanted nodes of the i-th of three tiles of n, from the middle one on."""
         return max((i - 1) * n, first - rim), min(i * n, last + 1 - rim)
 
     def each_line(body: Any) -> Any:
-        """Compile a loop over what windows and tiles have in common, line by line.
+        """Compile a loop over the lines that windows and tiles have in common.
 
-        Arguments of the loop are a unit, its tiles, the first and last nodes that points have in
-        the windows, ``(n, 3)`` each, and two arrays; of the body the place in the window, the row
-        of the grid, the number of nodes, and the arrays.
+        The arguments of the loop are a unit, its tiles, the first and last nodes that points see in
+        the windows, ``(n, 3)`` each, and two arrays. The arguments of `body` are the place in the
+        window, the row of the grid, the number of nodes, and the arrays.
         """
 
         @_njit
@@ -143,7 +143,7 @@ def windows(dim: int, width: int) -> Windows:
 
     @_njit
     def add_lines(unit, tiles, first, last, lines, sums):
-        """Lines ``(places + SPARE, 4)``, of which the first three are empty, to the nodes."""
+        """Add lines ``(places + SPARE, 4)``, of which the first three are empty, to the nodes."""
         add_sums(unit, tiles, first, last, lines, sums)
         for x in range(first[unit, 0], last[unit, 0] + 1):
             if dim == 2:
