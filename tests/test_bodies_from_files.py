@@ -179,7 +179,7 @@ def test_few_points_are_told(said):
     strip = shapes.polygon([(-1, -0.3), (1, 0.3), (1, 0.34), (-1, -0.26)])
     body = points.in_solid(plane(), strip, 0.2)
     assert body.volume() == pytest.approx(strip.volume)
-    assert COMM.rank > 0 or any("few for Solid of 4 sides" in line for line in said)
+    assert COMM.rank > 0 or any("coarse for Solid of 4 sides" in line for line in said)
 
 
 @pytest.mark.parametrize("seed", [points.in_solid, points.on_surface])
