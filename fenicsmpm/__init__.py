@@ -27,7 +27,7 @@ from fenicsmpm.points import MaterialPoints
 from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, UnstableError
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "ExplicitMPM",
