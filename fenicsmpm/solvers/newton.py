@@ -157,7 +157,7 @@ class NewtonSolver:
             raise ValueError(f"keep_tangent must lie in [0, 1): {keep_tangent}")
         if not isinstance(U, fem.Function):
             raise TypeError(
-                f"the unknown of Newton's method must be a dolfinx function, such as z.U, not {U!r}"
+                f"the unknown of Newton's method must be a dolfinx function, such as z.U, not {U}"
             )
         if tying is not None and tying.space != U.function_space:
             raise ValueError(
