@@ -46,6 +46,7 @@ def spread_body(dim, basis):
     body["F"][:, :dim, :dim] += 0.05 * of_point[:, 12:21].reshape(-1, 3, 3)[:, :dim, :dim]
     body["J"] = np.linalg.det(body["F"])
     body.add_field("J_bar", (), 1 + 0.1 * np.tanh(of_point[:, 20]))
+    body.add_field("J_0", (), 1.0)
     return body, fem.functionspace(domain, ("Lagrange", 1, (dim,)))
 
 

@@ -3,6 +3,7 @@
 
 import contextlib
 import io
+import logging
 import re
 import tomllib
 from pathlib import Path
@@ -38,6 +39,9 @@ def test_code_of_a_page(page, tmp_path, monkeypatch):
     if "import gmsh" in page.read_text():
         pytest.importorskip("gmsh")
     monkeypatch.chdir(tmp_path)  # some write files
+    log = logging.getLogger("fenicsmpm")  # of which others may print more
+    for name, value in ("handlers", []), ("propagate", True), ("level", logging.NOTSET):
+        monkeypatch.setattr(log, name, value)
     namespace = {"__name__": "__main__"}
     printed = None
     for language, text, line in blocks(page):
