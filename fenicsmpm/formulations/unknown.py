@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any
 
 import basix.ufl
 import numpy as np
@@ -18,10 +18,7 @@ from dolfinx import fem
 from fenicsmpm import _compat
 from fenicsmpm._display import Described, Facts
 from fenicsmpm.basis import is_linear
-from fenicsmpm.points.agreement import do_there, raise_together
-from fenicsmpm.points.of_position import CaughtMarker, OfPosition
-
-Place: TypeAlias = OfPosition | npt.NDArray[np.integer]
+from fenicsmpm.formulations.condition import Condition, Place
 
 _ROLES = ("moves", "history", "grid")
 # Attributes of an unknown besides its methods, which parts cannot have as names
@@ -92,7 +89,6 @@ class Unknown(Described):
         degree: degree of the Lagrange functions of parts given by name.
 
     Attributes:
-        U: function of all parts, with respect to which forms are differentiated.
         V: test function of all parts.
         space: function space of both.
         mesh: background mesh.
@@ -109,42 +105,77 @@ class Unknown(Described):
     def __init__(self, over: Any, *parts: str | Part, degree: int = 1) -> None:
         """Create spaces and functions (collective)."""
         own = _with_roles(parts, degree)
-        U = over if isinstance(over, fem.Function) else _function_of(over, own)
-        _check_shapes(U, own)
-        self._take(U, ufl.TestFunction(U.function_space), own)
+        if isinstance(over, fem.Function):
+            _check_shapes(over, own)
+            function = _OnDemand(over.function_space, over.name, over)
+        else:
+            function = _OnDemand(_space_of(over, own), _name_of(own))
+        self._take(function, ufl.TestFunction(function.space), own)
 
     def _take(
-        self, U: fem.Function, V: ufl.Argument, parts: Sequence[Part], first: int = 0
+        self, function: _OnDemand, V: ufl.Argument, parts: Sequence[Part], first: int = 0
     ) -> None:
         """Set the parts to those of a function, from part ``first`` on (collective)."""
         self.parts = tuple(parts)
-        self.U, self.V, self.space, self.mesh = U, V, U.function_space, U.function_space.mesh
+        self._function, self.V = function, V
+        self.space: fem.FunctionSpace = function.space
+        self.mesh: Any = function.space.mesh
         names = [part.name for part in self.parts]
-        is_mixed, own = _is_mixed(self.space), slice(first, first + len(names))
-        split = [ufl.split(f)[own] if is_mixed else (f,) for f in (U, V)]
+        is_mixed = _is_mixed(self.space)
+        self._own = slice(first, first + len(names))
         subs = [self.space]
         if is_mixed:
             subs = [self.space.sub(first + i) for i in range(len(names))]
-        self._values = dict(zip(names, split[0], strict=True))
-        self.test = SimpleNamespace(**dict(zip(names, split[1], strict=True)))
-        self._subspaces = dict(zip(names, subs, strict=True))
+        self.test = SimpleNamespace(**self._split(V))
+        self._subspaces: dict[str, fem.FunctionSpace] = dict(zip(names, subs, strict=True))
         self._collapsed = {name: _collapsed(sub, is_mixed) for name, sub in self._subspaces.items()}
         histories = [part.name for part in self.parts if part.role == "history"]
         self.old = SimpleNamespace(**{name: self.function(name, "old") for name in histories})
         self.conditions: list[Condition] = []
 
+    def _split(self, function: Any) -> dict[str, Any]:
+        """Return the parts of a function of the space by their names, UFL."""
+        split = ufl.split(function)[self._own] if _is_mixed(self.space) else (function,)
+        return {part.name: value for part, value in zip(self.parts, split, strict=True)}
+
+    @property
+    def U(self) -> fem.Function:
+        """Function of all parts, with respect to which forms are differentiated.
+
+        Created at first use (collective), since explicit steps on a large lattice can do without
+        values at empty nodes.
+        """
+        return self._function.get()
+
+    @property
+    def has_values(self) -> bool:
+        """Whether U has been created."""
+        return self._function.function is not None
+
+    def write_later(self, write: Callable[[fem.Function], None]) -> None:
+        """Set the values that U gets when it is created.
+
+        Args:
+            write: writes all values of a function that is zero, ghosts included (collective).
+        """
+        self._function.write = write
+
+    @functools.cached_property
+    def _values(self) -> dict[str, Any]:
+        return self._split(self.U)
+
     def __getattr__(self, name: str) -> Any:
-        """Return a part by its name, UFL."""
-        values = self.__dict__.get("_values", {})
-        if name not in values:
+        """Return a part by its name, UFL (collective at first use)."""
+        names = [part.name for part in self.__dict__.get("parts", ())]
+        if name not in names:
             raise AttributeError(
-                f"no part {name!r} of the unknown: it has {', '.join(values) or 'none yet'}"
+                f"no part {name!r} of the unknown: it has {', '.join(names) or 'none yet'}"
             )
-        return values[name]
+        return self._values[name]
 
     def __contains__(self, name: object) -> bool:
         """Return whether there is a part of this name."""
-        return name in self._values
+        return any(part.name == name for part in self.parts)
 
     @property
     def moving(self) -> str | None:
@@ -158,6 +189,14 @@ class Unknown(Described):
             name: name of the part.
         """
         return self._collapsed[name][0]
+
+    def subspace(self, name: str) -> fem.FunctionSpace:
+        """Return the part of the unknown's space that belongs to a part, as dolfinx views it.
+
+        Args:
+            name: name of the part.
+        """
+        return self._subspaces[name]
 
     def dofs(self, name: str) -> npt.NDArray[np.int32]:
         """Return the indices ``(n,)`` of a part in ``U.x.array``, in the order of ``part_space``.
@@ -210,7 +249,7 @@ class Unknown(Described):
         if missing:
             raise ValueError(
                 f"{of} needs the part{'s' * (len(names) > 1)} {', '.join(names)} of the unknown, "
-                f"which has {', '.join(self._values)}"
+                f"which has {', '.join(part.name for part in self.parts)}"
             )
 
     def require_linear(self, what: str, *names: str) -> None:
@@ -223,7 +262,7 @@ class Unknown(Described):
         Raises:
             ValueError: if the functions of a part are not continuous and linear.
         """
-        for name in names or self._values:
+        for name in names or [part.name for part in self.parts]:
             element = self.part_space(name).ufl_element()
             if not is_linear(element):
                 raise ValueError(
@@ -335,171 +374,15 @@ def coupled_unknowns(
         )
     of_each = [_with_roles(own, degree) for own in parts]
     together = [part for own in of_each for part in own]
-    U = _function_of(mesh, together)
-    V, unknowns, first = ufl.TestFunction(U.function_space), [], 0
+    space = _space_of(mesh, together)
+    function = _OnDemand(space, _name_of(together))
+    V, unknowns, first = ufl.TestFunction(space), [], 0
     for own in of_each:
         unknown = object.__new__(Unknown)
-        unknown._take(U, V, own, first)
+        unknown._take(function, V, own, first)
         unknowns.append(unknown)
         first += len(own)
     return tuple(unknowns)
-
-
-class Condition:
-    """Dirichlet condition on a part of an unknown; see ``Unknown.fix``.
-
-    Attributes:
-        bc: Dirichlet condition of dolfinx.
-        part: name of the part.
-        unknown: the unknown that has the part.
-        size: number of components of the part.
-        depends_on_time: whether the value is a function of time.
-    """
-
-    def __init__(
-        self, unknown: Unknown, part: str, where: Place, value: Any, component: int | None
-    ) -> None:
-        """Find the nodes, and set the value at time zero (collective)."""
-        unknown.require(part, of="a Dirichlet condition")
-        self.part, self._is_motion = part, part == unknown.moving
-        self._is_set = False
-        self.unknown = unknown
-        self.size = len(unknown._values[part].ufl_shape) * unknown.mesh.geometry.dim or 1
-        sub = unknown._subspaces[part]
-        if component is not None:
-            n = self.size if unknown._values[part].ufl_shape else 0
-            if component not in range(n):
-                raise ValueError(f"part {part!r} has no component {component}: it has {n}")
-            sub = sub.sub(component)
-        space = unknown.part_space(part) if component is None else sub.collapse()[0]
-        if isinstance(value, fem.Function):
-            if value.function_space != space:
-                raise ValueError(
-                    f"the value of part {part!r} is a function of another space: use "
-                    f"fem.Function(unknown.part_space({part!r}))"
-                )
-            self._function, self._value = value, None
-        else:
-            self._function = fem.Function(space)
-            self._value = do_there(space.mesh.comm, True, lambda: _Value(value, part, space))
-        whole = sub is unknown.space
-        dofs = _located(where, sub if whole else (sub, space), space, part)
-        self.bc = fem.dirichletbc(self._function, dofs, *(() if whole else (sub,)))
-        self.set(0.0, 0.0)
-
-    @property
-    def depends_on_time(self) -> bool:
-        """Whether the value is a function of time."""
-        return self._value is not None and self._value.depends_on_time
-
-    def set(self, start: float, end: float) -> None:
-        """Set the value for a step (collective); see ``Unknown.set_conditions``.
-
-        Args:
-            start: time at the start of the step [s].
-            end: time at which the equations hold [s].
-        """
-        if self._value is None or (self._is_set and not self.depends_on_time):
-            return  # a function that the user sets, or a constant value
-        value, self._is_set = self._value, True
-
-        def at(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            if self._is_motion and "t" in value.names:
-                return value.at(x, end, end) - value.at(x, start, start)
-            return value.at(x, start, end)
-
-        # The user's function may fail on one rank only.
-        comm = self._function.function_space.mesh.comm
-        do_there(comm, True, lambda: self._function.interpolate(at))
-
-    def moves_again(self) -> bool:
-        """Return whether every step would repeat the same nonzero displacement (collective)."""
-        if not self._is_motion or self._value is None or self.depends_on_time:
-            return False
-        here = bool(np.any(self._function.x.array != 0))
-        return any(self._function.function_space.mesh.comm.allgather(here))
-
-
-class _Value:
-    """A value that may depend on position and time."""
-
-    def __init__(self, value: Any, part: str, space: fem.FunctionSpace) -> None:
-        self._given, self._part = value, part
-        self._rows = space.dofmap.index_map_bs
-        self.names: list[str] = []
-        if callable(value):
-            parameters = inspect.signature(value).parameters.values()
-            self.names = [p.name for p in parameters if p.default is p.empty]
-            known = ({"x", "t"}, {"x", "start", "end"})
-            if not self.names or not any(set(self.names) <= names for names in known):
-                raise ValueError(
-                    f"the value of part {part!r} has the parameters "
-                    f"{', '.join(self.names) or '(none)'}: use x for positions and t for time, or "
-                    "start and end of a step, by these names"
-                )
-        self.at(np.zeros((3, 4)), 0.0, 0.0)
-        here, there = (self._called(np.full((3, 4), at), 0.0, 0.0) for at in (0.0, 1.0))
-        if "x" in self.names and here.ndim == 1 and self._rows > 1 and np.any(here != there):
-            raise ValueError(
-                f"the value of part {part!r} depends on position, but is a single value for all "
-                "positions: x has the shape (3, n) as in dolfinx, so use x[0] for the first "
-                "coordinates"
-            )
-
-    def _called(
-        self, x: npt.NDArray[np.float64], start: float, end: float
-    ) -> npt.NDArray[np.float64]:
-        given = self._given
-        if self.names:
-            arguments = {"x": x, "t": end, "start": start, "end": end}
-            given = given(**{name: arguments[name] for name in self.names})
-        return np.asarray(given, dtype=np.float64)
-
-    @property
-    def depends_on_time(self) -> bool:
-        return not set(self.names) <= {"x"}
-
-    def at(self, x: npt.NDArray[np.float64], start: float, end: float) -> npt.NDArray[np.float64]:
-        """Return ``(n_components, n)`` values at positions ``(3, n)``."""
-        rows, n = self._rows, x.shape[1]
-        array = self._called(x, start, end)
-        if array.ndim <= 1 and (rows > 1 or array.size == 1):  # the same everywhere
-            array = array.reshape(-1, 1)
-        elif array.shape == (n,) and rows == 1:
-            array = array[None]
-        if array.shape not in ((1, 1), (rows, 1), (rows, n)):
-            raise ValueError(
-                f"the value of part {self._part!r} needs {rows} component(s) at each position, but "
-                f"has the shape {array.shape} at {n} positions"
-            )
-        return np.array(np.broadcast_to(array, (rows, n)))
-
-
-def _located(where: Place, spaces: Any, space: fem.FunctionSpace, part: str) -> Any:
-    """Return the dofs of a condition; raise ValueError on all ranks if there are none."""
-    comm = space.mesh.comm
-    if callable(where):
-        marker = CaughtMarker(where)
-        dofs = fem.locate_dofs_geometrical(spaces, marker)
-        raise_together(comm, marker.error)
-    else:
-        do_there(comm, True, lambda: _check_facets(where))
-        dim = space.mesh.topology.dim
-        space.mesh.topology.create_connectivity(dim - 1, dim)
-        dofs = fem.locate_dofs_topological(spaces, dim - 1, np.asarray(where, dtype=np.int32))
-    if comm.allreduce(np.size(dofs)) == 0:
-        raise ValueError(f"a condition on part {part!r} at no node: check the marker")
-    return dofs
-
-
-def _check_facets(where: Any) -> None:
-    facets = np.asarray(where)
-    if facets.ndim == 1 and (np.issubdtype(facets.dtype, np.integer) or len(facets) == 0):
-        return
-    raise ValueError(
-        "give fix(..) a marker of positions or local facets (n,), not an array of "
-        f"{facets.dtype} of the shape {facets.shape}"
-    )
 
 
 def _by_name(name: str, degree: int) -> Part:
@@ -550,19 +433,38 @@ def _described(parts: Sequence[Part]) -> str:
     return ", ".join(f"{p.name} ({'vector' if p.is_vector else 'scalar'}, {p.role})" for p in parts)
 
 
-def _function_of(mesh: Any, parts: Sequence[Part]) -> fem.Function:
-    """Return a new function with given parts on a mesh (collective)."""
-    name = "_".join(part.name for part in parts)
-    return fem.Function(fem.functionspace(mesh, _element(mesh, parts)), name=name)
+class _OnDemand:
+    """A function that is created when somebody needs it."""
+
+    def __init__(
+        self, space: fem.FunctionSpace, name: str, function: fem.Function | None = None
+    ) -> None:
+        self.space, self._name, self.function = space, name, function
+        self.write: Callable[[fem.Function], None] | None = None
+
+    def get(self) -> fem.Function:
+        """Return the function (collective at first use)."""
+        if self.function is None:
+            self.function = fem.Function(self.space, name=self._name)
+            if self.write is not None:
+                self.write(self.function)
+                self.write = None
+        return self.function
 
 
-def _element(mesh: Any, parts: Sequence[Part]) -> Any:
+def _name_of(parts: Sequence[Part]) -> str:
+    return "_".join(part.name for part in parts)
+
+
+def _space_of(mesh: Any, parts: Sequence[Part]) -> fem.FunctionSpace:
+    """Return a space with given parts on a mesh (collective)."""
     cell, dim = mesh.basix_cell(), mesh.geometry.dim
     elements = [
         basix.ufl.element("Lagrange", cell, part.degree, shape=(dim,) if part.is_vector else None)
         for part in parts
     ]
-    return elements[0] if len(elements) == 1 else basix.ufl.mixed_element(elements)
+    mixed = elements[0] if len(elements) == 1 else basix.ufl.mixed_element(elements)
+    return fem.functionspace(mesh, mixed)
 
 
 def _collapsed(
