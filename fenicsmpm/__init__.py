@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Material Point Method on FEniCSx background meshes, with every weak form in UFL."""
 
-import ctypes
 import os
 
 from mpi4py import MPI
@@ -24,6 +23,7 @@ from fenicsmpm import (
     transfer,
     verification,
 )
+from fenicsmpm._memory import return_large_arrays
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, UnstableError
@@ -56,11 +56,4 @@ __all__ = [
 if MPI.COMM_WORLD.size > 1 and "NUMBA_NUM_THREADS" not in os.environ:
     numba.set_num_threads(1)
 
-# SuperLU_DIST, which Debian's PETSc loads, lets glibc keep all memory that is freed. Arrays over
-# many points come and go, and would leave holes. Large ones get pages of their own again. Both are
-# glibc's defaults; other C libraries have no such options.
-_set = getattr(ctypes.CDLL(None), "mallopt", None)
-if _set is not None:
-    _M_MMAP_THRESHOLD, _M_MMAP_MAX = -3, -4
-    _set(_M_MMAP_THRESHOLD, 2**25)
-    _set(_M_MMAP_MAX, 65536)
+return_large_arrays()

@@ -440,26 +440,6 @@ def test_the_paper_s_time_step():
     assert simulate(V, {body: law}, cfl=0.3).dt == pytest.approx(2.773e-3, rel=5e-4)
 
 
-@pytest.mark.mpi
-def test_the_nodal_velocity_exists_when_somebody_needs_it():
-    """On a large lattice it would take more memory than the points; its values do not depend."""
-    values = []
-    for early in (False, True):
-        body, V, _ = block(2, velocity=lambda x: np.sin(7 * x[:2]))
-        z = formulations.Unknown(V.mesh, "v")
-        R = formulations.internal_force(z.test.v, body, RUBBER)
-        sim = ExplicitMPM(R, z, body, dt=1e-3)
-        if early:
-            sim.velocity.x.array[:] = np.nan
-        sim.step()
-        assert z.has_values == early
-        values.append(sim.velocity.x.array.copy())
-        assert sim.velocity is z.U and z.v is sim.velocity
-        sim.step()
-        assert np.any(sim.velocity.x.array != values[-1])
-    assert np.array_equal(*values) and np.any(values[0] != 0)
-
-
 @pytest.mark.once
 def test_memory_in_a_large_room():
     """Five times the block's side costs at most a fifth more memory per point, plus dolfinx."""

@@ -38,7 +38,7 @@ class Condition:
         self.part, self._is_motion = part, part == unknown.moving
         self._is_set = False
         self.unknown = unknown
-        is_vector = next(own.is_vector for own in unknown.parts if own.name == part)
+        is_vector = len(getattr(unknown, part).ufl_shape) > 0
         self.size = unknown.mesh.geometry.dim if is_vector else 1
         sub = unknown.subspace(part)
         if component is not None:

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +16,7 @@ from dolfinx import fem
 
 from fenicsmpm import _compat
 from fenicsmpm._display import Described, Facts
+from fenicsmpm._memory import release_zeros
 from fenicsmpm.basis import is_linear
 from fenicsmpm.formulations.condition import Condition, Place
 
@@ -89,6 +89,7 @@ class Unknown(Described):
         degree: degree of the Lagrange functions of parts given by name.
 
     Attributes:
+        U: function of all parts, with respect to which forms are differentiated.
         V: test function of all parts.
         space: function space of both.
         mesh: background mesh.
@@ -105,77 +106,42 @@ class Unknown(Described):
     def __init__(self, over: Any, *parts: str | Part, degree: int = 1) -> None:
         """Create spaces and functions (collective)."""
         own = _with_roles(parts, degree)
-        if isinstance(over, fem.Function):
-            _check_shapes(over, own)
-            function = _OnDemand(over.function_space, over.name, over)
-        else:
-            function = _OnDemand(_space_of(over, own), _name_of(own))
-        self._take(function, ufl.TestFunction(function.space), own)
+        U = over if isinstance(over, fem.Function) else _function_of(over, own)
+        _check_shapes(U, own)
+        self._take(U, ufl.TestFunction(U.function_space), own)
 
     def _take(
-        self, function: _OnDemand, V: ufl.Argument, parts: Sequence[Part], first: int = 0
+        self, U: fem.Function, V: ufl.Argument, parts: Sequence[Part], first: int = 0
     ) -> None:
         """Set the parts to those of a function, from part ``first`` on (collective)."""
         self.parts = tuple(parts)
-        self._function, self.V = function, V
-        self.space: fem.FunctionSpace = function.space
-        self.mesh: Any = function.space.mesh
+        self.U, self.V, self.space, self.mesh = U, V, U.function_space, U.function_space.mesh
         names = [part.name for part in self.parts]
-        is_mixed = _is_mixed(self.space)
-        self._own = slice(first, first + len(names))
+        is_mixed, own = _is_mixed(self.space), slice(first, first + len(names))
+        split = [ufl.split(f)[own] if is_mixed else (f,) for f in (U, V)]
         subs = [self.space]
         if is_mixed:
             subs = [self.space.sub(first + i) for i in range(len(names))]
-        self.test = SimpleNamespace(**self._split(V))
+        self._values = dict(zip(names, split[0], strict=True))
+        self.test = SimpleNamespace(**dict(zip(names, split[1], strict=True)))
         self._subspaces: dict[str, fem.FunctionSpace] = dict(zip(names, subs, strict=True))
         self._collapsed = {name: _collapsed(sub, is_mixed) for name, sub in self._subspaces.items()}
         histories = [part.name for part in self.parts if part.role == "history"]
         self.old = SimpleNamespace(**{name: self.function(name, "old") for name in histories})
         self.conditions: list[Condition] = []
 
-    def _split(self, function: Any) -> dict[str, Any]:
-        """Return the parts of a function of the space by their names, UFL."""
-        split = ufl.split(function)[self._own] if _is_mixed(self.space) else (function,)
-        return {part.name: value for part, value in zip(self.parts, split, strict=True)}
-
-    @property
-    def U(self) -> fem.Function:
-        """Function of all parts, with respect to which forms are differentiated.
-
-        Created at first use (collective), since explicit steps on a large lattice can do without
-        values at empty nodes.
-        """
-        return self._function.get()
-
-    @property
-    def has_values(self) -> bool:
-        """Whether U has been created."""
-        return self._function.function is not None
-
-    def write_later(self, write: Callable[[fem.Function], None]) -> None:
-        """Set the values that U gets when it is created.
-
-        Args:
-            write: writes all values of a function that is zero, ghosts included (collective).
-        """
-        self._function.write = write
-
-    @functools.cached_property
-    def _values(self) -> dict[str, Any]:
-        return self._split(self.U)
-
     def __getattr__(self, name: str) -> Any:
-        """Return a part by its name, UFL (collective at first use)."""
-        names = [part.name for part in self.__dict__.get("parts", ())]
-        if name not in names:
+        """Return a part by its name, UFL."""
+        values = self.__dict__.get("_values", {})
+        if name not in values:
             raise AttributeError(
-                f"no part {name!r} of the unknown: it has {', '.join(names) or 'none yet'}"
+                f"no part {name!r} of the unknown: it has {', '.join(values) or 'none yet'}"
             )
-        return self._values[name]
+        return values[name]
 
     def __contains__(self, name: object) -> bool:
         """Return whether there is a part of this name."""
-        return any(part.name == name for part in self.parts)
+        return name in self._values
 
     @property
     def moving(self) -> str | None:
@@ -249,7 +215,7 @@ class Unknown(Described):
         if missing:
             raise ValueError(
                 f"{of} needs the part{'s' * (len(names) > 1)} {', '.join(names)} of the unknown, "
-                f"which has {', '.join(part.name for part in self.parts)}"
+                f"which has {', '.join(self._values)}"
             )
 
     def require_linear(self, what: str, *names: str) -> None:
@@ -262,7 +228,7 @@ class Unknown(Described):
         Raises:
             ValueError: if the functions of a part are not continuous and linear.
         """
-        for name in names or [part.name for part in self.parts]:
+        for name in names or self._values:
             element = self.part_space(name).ufl_element()
             if not is_linear(element):
                 raise ValueError(
@@ -374,12 +340,11 @@ def coupled_unknowns(
         )
     of_each = [_with_roles(own, degree) for own in parts]
     together = [part for own in of_each for part in own]
-    space = _space_of(mesh, together)
-    function = _OnDemand(space, _name_of(together))
-    V, unknowns, first = ufl.TestFunction(space), [], 0
+    U = _function_of(mesh, together)
+    V, unknowns, first = ufl.TestFunction(U.function_space), [], 0
     for own in of_each:
         unknown = object.__new__(Unknown)
-        unknown._take(function, V, own, first)
+        unknown._take(U, V, own, first)
         unknowns.append(unknown)
         first += len(own)
     return tuple(unknowns)
@@ -433,38 +398,21 @@ def _described(parts: Sequence[Part]) -> str:
     return ", ".join(f"{p.name} ({'vector' if p.is_vector else 'scalar'}, {p.role})" for p in parts)
 
 
-class _OnDemand:
-    """A function that is created when somebody needs it."""
-
-    def __init__(
-        self, space: fem.FunctionSpace, name: str, function: fem.Function | None = None
-    ) -> None:
-        self.space, self._name, self.function = space, name, function
-        self.write: Callable[[fem.Function], None] | None = None
-
-    def get(self) -> fem.Function:
-        """Return the function (collective at first use)."""
-        if self.function is None:
-            self.function = fem.Function(self.space, name=self._name)
-            if self.write is not None:
-                self.write(self.function)
-                self.write = None
-        return self.function
+def _function_of(mesh: Any, parts: Sequence[Part]) -> fem.Function:
+    """Return a new function with given parts on a mesh (collective)."""
+    name = "_".join(part.name for part in parts)
+    function = fem.Function(fem.functionspace(mesh, _element(mesh, parts)), name=name)
+    release_zeros(function.x.array)
+    return function
 
 
-def _name_of(parts: Sequence[Part]) -> str:
-    return "_".join(part.name for part in parts)
-
-
-def _space_of(mesh: Any, parts: Sequence[Part]) -> fem.FunctionSpace:
-    """Return a space with given parts on a mesh (collective)."""
+def _element(mesh: Any, parts: Sequence[Part]) -> Any:
     cell, dim = mesh.basix_cell(), mesh.geometry.dim
     elements = [
         basix.ufl.element("Lagrange", cell, part.degree, shape=(dim,) if part.is_vector else None)
         for part in parts
     ]
-    mixed = elements[0] if len(elements) == 1 else basix.ufl.mixed_element(elements)
-    return fem.functionspace(mesh, mixed)
+    return elements[0] if len(elements) == 1 else basix.ufl.mixed_element(elements)
 
 
 def _collapsed(

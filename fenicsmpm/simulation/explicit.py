@@ -94,6 +94,9 @@ class ExplicitMPM(Described):
             of the simulation and the ``Step``.
 
     Attributes:
+        velocity: Velocity of the nodes in m/s at the end of the last step. Where bodies in contact
+            meet, it is the mass-weighted mean. Loads on carried points, cells and facets are
+            distributed likewise.
         time: Time in s.
         number: Number of steps done.
         dt: Length of the last step in s; before the first step, its length.
@@ -144,8 +147,7 @@ class ExplicitMPM(Described):
                 f"and {damping}"
             )
         self.exits = Exits(on_exit)
-        _check_velocity(unknown)
-        self.unknown = unknown
+        self.unknown, self.velocity = unknown, _velocity(unknown)
         V = unknown.space
         self.bodies = [bodies] if isinstance(bodies, MaterialPoints) else list(bodies)
         self.carried = list(carried)
@@ -153,7 +155,7 @@ class ExplicitMPM(Described):
         check_bodies(V, self.bodies, self.carried)
         check_functions([*self.bodies, *self.carried])
         check_bcs(bcs, V)
-        self.residual = Residual(R, V, self.bodies, self.carried)
+        self.residual = Residual(R, self.velocity, self.bodies, self.carried)
         self.laws: dict[MaterialPoints, Law] = {
             body: sigma.law for body, sigma in self.residual.stresses.items()
         }
@@ -193,7 +195,7 @@ class ExplicitMPM(Described):
         """Return updates defined by fields of the residual, and the user's updates."""
         moving = [*self.bodies, *self.carried]
         check_updates(updates, moving)
-        found = renewals(R, moving, lambda _: self.duration * self.velocity)
+        found = renewals(R, dict.fromkeys(moving, self.duration * self.velocity))
         return {
             points: {**found[points], **updates.get(points, {})}
             for points in moving
@@ -224,18 +226,9 @@ class ExplicitMPM(Described):
         """
         dofs, forces = self._way.support_forces()
         here = np.isin(dofs, _compat.bc_dofs(condition.bc))
-        dim = self.unknown.mesh.geometry.dim
+        dim = self.velocity.function_space.mesh.geometry.dim
         value = np.bincount(dofs[here] % dim, forces[here], minlength=dim)
-        return np.asarray(self.unknown.mesh.comm.allreduce(value))
-
-    @property
-    def velocity(self) -> fem.Function:
-        """Velocity of the nodes in m/s at the end of the last step. Collective at first use.
-
-        Where bodies in contact meet, it is the mass-weighted mean. Loads on carried points, cells
-        and facets are distributed likewise.
-        """
-        return self.unknown.U
+        return np.asarray(self.velocity.function_space.mesh.comm.allreduce(value))
 
     def mass(self) -> fem.Function:
         """Return the mass of the nodes in the last step in kg. Collective at first use."""
@@ -256,13 +249,13 @@ class ExplicitMPM(Described):
         """
         if contact not in self.contacts or not isinstance(self._way, ByForms):
             raise ValueError(f"this simulation does not have the contact {contact!r}")
-        function = fem.Function(self.unknown.space, name="contact force")
+        function = fem.Function(self.velocity.function_space, name="contact force")
         function.x.array[:] = self._way.contact_forces(contact).ravel()
         return function
 
     def _is_for_kernels(self) -> bool:
         """Return whether fused kernels can compute the residual, apart from further terms."""
-        mesh = self.unknown.mesh
+        mesh = self.velocity.function_space.mesh
         if self.contacts:  # kernels have one velocity per node
             return False
         if cell_geometry(mesh).boxes is None or self.residual.internal != set(self.bodies):
@@ -407,7 +400,7 @@ class ExplicitMPM(Described):
                 speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
         require_points(self.bodies)
-        fastest = self.unknown.mesh.comm.allreduce(fastest, MPI.MAX)
+        fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
         return self._h / fastest if fastest > 0 else math.inf
 
     @property
@@ -437,7 +430,7 @@ class ExplicitMPM(Described):
 
     def raise_if(self, messages: list[str]) -> None:
         """Raise an UnstableError on all ranks if there is a message on any rank. Collective."""
-        comm = self.unknown.mesh.comm
+        comm = self.velocity.function_space.mesh.comm
         if comm.size > 1:
             messages = [m for some in comm.allgather(messages) for m in some]
         if messages:
@@ -495,10 +488,11 @@ def _smallest_height(mesh: Any) -> float:
     return 1.0 / math.sqrt(mesh.comm.allreduce(steepest, MPI.MAX))
 
 
-def _check_velocity(unknown: Unknown) -> None:
-    """Raise ValueError for an unknown that does not consist of a velocity only."""
+def _velocity(unknown: Unknown) -> fem.Function:
+    """Return the function of an unknown that consists of a velocity only."""
     if len(unknown.parts) != 1 or not unknown.parts[0].is_vector or unknown.moving is not None:
         raise ValueError(
             'the unknown of explicit steps must be the velocity of the nodes, Unknown(mesh, "v"), '
             f"not {unknown!r}"
         )
+    return unknown.U

@@ -48,7 +48,7 @@ class OnLattice:
     ) -> None:
         """Prepare the stages; kernels are compiled in the first step. Collective."""
         self._sim, residual = sim, sim.residual
-        V = sim.unknown.space
+        V = sim.velocity.function_space
         self._dim = V.mesh.geometry.dim
         # created when somebody needs them: arrays over the whole lattice
         self._functions: dict[str, fem.Function] = {}
@@ -101,7 +101,7 @@ class OnLattice:
         if self.is_open and self._has_changed():
             self.settle()
         if not self.is_open:
-            raise_together(sim.unknown.mesh.comm, self._not_plane())
+            raise_together(sim.velocity.function_space.mesh.comm, self._not_plane())
         try:
             if not self.is_open:
                 with clock("begin"):
@@ -158,11 +158,11 @@ class OnLattice:
         """Return whether points were read, or laws or conditions replaced. Collective."""
         sim = self._sim
         changed = self._engine.is_looked_at or self._laws != sim.laws or self._bcs != sim.bcs
-        return sim.unknown.mesh.comm.allreduce(changed, MPI.LOR)
+        return sim.velocity.function_space.mesh.comm.allreduce(changed, MPI.LOR)
 
     def _are_at_home(self) -> bool:
         """Return whether each point is in a cell that its rank owns. Collective."""
-        mesh = self._sim.unknown.mesh
+        mesh = self._sim.velocity.function_space.mesh
         if mesh.comm.size == 1:
             return True
         place = locator(mesh)
@@ -217,7 +217,7 @@ class OnLattice:
         with clock("G2P"):
             messages += engine.gather(dt, sim.flip)
             if sim.rigid:
-                sim.unknown.mesh.comm.Allreduce(MPI.IN_PLACE, pushed, MPI.SUM)
+                sim.velocity.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, pushed, MPI.SUM)
             for k, body in enumerate(sim.rigid):
                 body.move(sim.time, dt, pushed[k])
                 messages += engine.hold_back(slip_on(k), body, dt, held[k])
@@ -233,14 +233,13 @@ class OnLattice:
 
     def _forces(self) -> list[str]:
         """Add forces other than internal force and gravity; return this rank's messages."""
-        engine = self._engine
+        engine, velocity = self._engine, self._sim.velocity
         loads = {
             points: points.weight[:, None] * traction.evaluate()
             for points, traction in self._tractions.items()
         }
         if self._at_bodies is not None or self._elsewhere is not None:
             engine.write("mass", self.mass())
-            velocity = self._sim.velocity
             engine.write("momentum", velocity)
             momentum, mass = velocity.x.array.reshape(-1, self._dim), self.mass().x.array[:, None]
             np.divide(momentum, mass, out=momentum, where=mass > 0)
@@ -251,7 +250,7 @@ class OnLattice:
 
     def _assemble(self, form: forms.Form) -> Array:
         """Return minus a part of the residual at the nodes of this rank in N, ``(n, d)``."""
-        force = la.vector(self._sim.unknown.space.dofmap.index_map, self._dim)
+        force = la.vector(self._sim.velocity.function_space.dofmap.index_map, self._dim)
         forms.assemble_vector(form, force)
         force.scatter_reverse(la.InsertMode.add)
         owned = force.index_map.size_local
@@ -260,8 +259,8 @@ class OnLattice:
     def mass(self) -> fem.Function:
         """Return the mass of the nodes in the last step in kg. Collective at first use."""
         if "mass" not in self._functions:
-            scalars = fem.functionspace(self._sim.unknown.mesh, ("Lagrange", 1))
-            self._make("mass", scalars)
+            mesh = self._sim.velocity.function_space.mesh
+            self._make("mass", fem.functionspace(mesh, ("Lagrange", 1)))
         return self._functions["mass"]
 
     def support_forces(self) -> tuple[npt.NDArray[np.int32], Array]:
@@ -271,8 +270,7 @@ class OnLattice:
     def acceleration(self) -> fem.Function:
         """Return the nodal acceleration in the last step in m/s^2. Collective at first use."""
         if "acceleration" not in self._functions:
-            V = self._sim.unknown.space
-            self._make("acceleration", V)
+            self._make("acceleration", self._sim.velocity.function_space)
         return self._functions["acceleration"]
 
     def _make(self, name: str, space: fem.FunctionSpace) -> None:
@@ -285,11 +283,8 @@ class OnLattice:
 
     def _write_nodes(self) -> None:
         """Write nodal fields at the end of a step to functions that somebody has asked for."""
-        engine, unknown = self._engine, self._sim.unknown
-        if unknown.has_values:
-            engine.write("velocity", unknown.U)
-        else:
-            unknown.write_later(engine.keep("velocity"))
+        engine = self._engine
+        engine.write("velocity", self._sim.velocity)
         for name, column, factor in (
             ("mass", "mass", 1.0),
             ("acceleration", "increment", 1 / self._sim.dt),
@@ -307,7 +302,7 @@ class OnLattice:
             Whether points have left their tiles on any rank.
         """
         sim, strays = self._sim, self._engine.strays
-        comm, failed = sim.unknown.mesh.comm, len(messages) > 0
+        comm, failed = sim.velocity.function_space.mesh.comm, len(messages) > 0
         if comm.size > 1:
             mine = np.concatenate([[float(failed), float(strays)], reaction, held.ravel()])
             comm.Allreduce(MPI.IN_PLACE, mine, MPI.SUM)

@@ -158,7 +158,7 @@ class ImplicitMPM(Described):
         warn_of_points_that_stay(self.newton.R, moving)
         check_updates(updates or {}, moving)
         moved = {p: m for m in self._motions for p in [*m.bodies, *m.carried]}
-        renewed = renewals(R, list(moved), lambda p: moved[p].scheme.increment)
+        renewed = renewals(R, {p: m.scheme.increment for p, m in moved.items()})
         _check_times(renewed, self.scheme)
         self._updates = {
             points: FieldUpdates(

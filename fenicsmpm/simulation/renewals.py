@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import ufl
@@ -18,17 +18,14 @@ from fenicsmpm.points.point_field import ComputedField, PointField
 
 
 def renewals(
-    form: ufl.Form,
-    moving: Sequence[MaterialPoints],
-    increment: Callable[[MaterialPoints], Any],
+    form: ufl.Form, increments: Mapping[MaterialPoints, Any]
 ) -> dict[MaterialPoints, dict[str, Any]]:
     """Collect how the fields in a form are renewed, the fields in these new values, and so on.
 
     Args:
         form: Residual of a loop.
-        moving: The loop's bodies and carried points.
-        increment: Function that returns the displacement increment of a step in m, UFL, of one of
-            these point sets.
+        increments: Displacement increments of a step in m, UFL, by the loop's bodies and carried
+            points.
 
     Returns:
         New values for each of the moving point sets by the names of its fields: UFL over the
@@ -37,7 +34,7 @@ def renewals(
     Raises:
         ValueError: For a field that is renewed twice, or one of points that do not move.
     """
-    found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in moving}
+    found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in increments}
     said: dict[tuple[MaterialPoints, str], Any] = {}
     pending, seen = list(all_coefficients(form)), set()
     while pending:
@@ -62,7 +59,7 @@ def renewals(
             if name in found[points]:
                 continue
             if not isinstance(value, Expr) and inspect.signature(value).parameters:
-                value = value(Kinematics(increment(points), points))
+                value = value(Kinematics(increments[points], points))
             found[points][name] = value
             if isinstance(value, Expr):
                 pending += extract_coefficients(value)

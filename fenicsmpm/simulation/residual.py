@@ -32,7 +32,7 @@ class Residual:
 
     Args:
         R: The form.
-        V: Space of the velocity, on which it is tested.
+        velocity: Grid function on whose space it is tested.
         bodies: Material points whose motion it describes.
         carried: Points that move along.
 
@@ -58,13 +58,13 @@ class Residual:
     def __init__(
         self,
         R: ufl.Form,
-        V: fem.FunctionSpace,
+        velocity: fem.Function,
         bodies: Sequence[MaterialPoints],
         carried: Sequence[MaterialPoints],
     ) -> None:
         """Split the form."""
         self.form = R
-        w = _test_function(R, V)
+        w = _test_function(R, velocity)
         self.stresses: dict[MaterialPoints, CauchyStress] = {}
         self.averages: dict[MaterialPoints, FBar | None] = {}
         self._find_fields(bodies)
@@ -119,7 +119,7 @@ class Residual:
                 raise ValueError("a body has two kinds of averages of J: use one")
 
 
-def _test_function(R: Any, V: fem.FunctionSpace) -> ufl.Argument:
+def _test_function(R: Any, velocity: fem.Function) -> ufl.Argument:
     if not isinstance(R, ufl.Form):
         raise TypeError(f"a residual must be a UFL form, not {type(R).__name__}: {R}")
     arguments = R.arguments()
@@ -129,7 +129,7 @@ def _test_function(R: Any, V: fem.FunctionSpace) -> ufl.Argument:
             "one test function, and no trial function"
         )
     space = arguments[0].ufl_function_space()
-    if space != V:
+    if space != velocity.function_space:
         raise ValueError(
             "the residual must be tested on the function space of the velocity: use the "
             "unknown's test function, unknown.test.v"
