@@ -18,7 +18,7 @@ from fenicsmpm.io.fingerprint import mesh_fingerprint
 from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid
 from fenicsmpm.points import fill, lattice, on_curve
 from fenicsmpm.points.geometry import cell_geometry
-from fenicsmpm.simulation import Rebalanced, imbalance
+from fenicsmpm.simulation import Observer, Rebalanced, imbalance
 from fenicsmpm.simulation.redistribution import Redistribution, cells_on, tags_on
 
 pytestmark = pytest.mark.ranks
@@ -241,7 +241,7 @@ def rubber(domain, inside):
     return body
 
 
-def implicit(domain, way):
+def implicit(domain, way, observers=()):
     """A block of rubber, clamped on the left, pulled by its right edge."""
     body = rubber(domain, lambda x: (x[0] < 1.2) & (abs(x[1] - 0.9) < 0.4))
     edge = on_curve(domain, (1.15, 0.55), (1.15, 1.25), spacing=0.1)
@@ -260,7 +260,7 @@ def implicit(domain, way):
         newton["tying"] = Tying(z.space, body, cells)
     else:
         R += fm.ghost_penalty(z, cells, law)
-    return ImplicitMPM(R, z, scheme, body, carried=[edge], newton=newton)
+    return ImplicitMPM(R, z, scheme, body, carried=[edge], newton=newton, observers=observers)
 
 
 @pytest.mark.mpi
@@ -371,13 +371,13 @@ def test_tags_and_observers_go_along(tmp_path):
 # --- when it is worth it --------------------------------------------------------------------------
 
 
-def drop(domain, size=0.1, velocity=0.0):
+def drop(domain, size=0.1, velocity=0.0, observers=()):
     """A drop within one cell, or a larger one."""
     body = lattice(domain, size / 4, inside=lambda x: abs(x[:2] - 0.125).max(axis=0) < size / 2)
     fm.set_initial_state(body, 1.0, velocity=(velocity, velocity))
     z = fm.Unknown(domain, "v")
     R = fm.internal_force(z.test.v, body, Hencky(10.0, 0.3))
-    return ExplicitMPM(R, z, body, dt=1e-2)
+    return ExplicitMPM(R, z, body, dt=1e-2, observers=observers)
 
 
 @pytest.mark.mpi
@@ -449,6 +449,41 @@ def test_wrong_use():
     other = domain()
     with pytest.raises(ValueError, match="on the mesh that it gets"):
         Rebalanced(lambda domain: drop(other), domain())
+
+
+class Ear(Observer):
+    """Simulations that have started."""
+
+    def __init__(self):
+        self.heard = []
+
+    def start(self, sim):
+        self.heard.append(sim)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["implicit", "explicit"])
+def test_observers_hear_of_no_simulation_that_is_refused(kind):
+    def build(domain):
+        if kind == "implicit":
+            return implicit(domain, "ghost penalty", [ear])
+        return drop(domain, observers=[ear])
+
+    ear = Ear()
+    domains = [mesh.create_rectangle(comm, [(0, 0), (2, 2)], [8, 8]) for _ in range(2)]
+    with pytest.raises(ValueError, match="on the mesh that it gets"):
+        Rebalanced(lambda domain: build(domains[1]), domains[0])
+    assert ear.heard == []
+    run = Rebalanced(build, domains[0])
+    assert ear.heard == []
+    first = run.sim
+    for _ in range(2):
+        run.sim.step()
+    assert ear.heard == [first]
+    run.rebalance()
+    for _ in run.sim.run(run.sim.time + 0.02):
+        pass
+    assert ear.heard == ([first] if comm.size == 1 else [first, run.sim])
 
 
 @pytest.mark.mpi

@@ -437,7 +437,7 @@ def test_what_cannot_be():
     with pytest.raises(ValueError, match="friction between bodies is found where"):
         rubbing.simulate(fm.GeneralizedAlpha, friction=0.1)
     with pytest.raises(ValueError, match="an audit needs a single unknown"):
-        rubbing.simulate(fm.Bossak, observers=[Audit()])
+        rubbing.simulate(fm.Bossak, observers=[Audit()]).step()
     with pytest.raises(ValueError, match="2 unknowns, bodies of 1"):
         Tying.of_each((a, b), [upper], pair.cells)
     for parts in ([("u",)], ["u", "u"]):

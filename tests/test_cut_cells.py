@@ -7,12 +7,12 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem, la, mesh
 from forms_table import CELLS
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, _compat, basis, forms, points
 from fenicsmpm import formulations as fm
-from fenicsmpm.cells import ActiveCells, Tying, correct_weights
+from fenicsmpm.cells import ActiveCells, BalancedWeights, Tying, correct_weights
 from fenicsmpm.forms.regions import RegionForm
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonSolver
@@ -132,6 +132,46 @@ def test_weights_of_a_stranger():
     _, body = disc(MPI.COMM_SELF)
     with pytest.raises(ValueError, match="one of the point sets of the active cells"):
         correct_weights(body, ActiveCells(body.copy()))
+    with pytest.raises(ValueError, match="one of the point sets of the active cells"):
+        BalancedWeights(body, ActiveCells(body.copy()))
+    with pytest.raises(ValueError, match=r"equal axis-parallel boxes .* is needed"):
+        BalancedWeights(body, ActiveCells(body))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("functions", ["quadratic", "cubic", "gimp"])
+def test_balanced_weights_bear_a_constant_stress(functions, dim):
+    """Without forces on nodes inside of a body between walls, whose points fit no cell."""
+    make = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
+    kind = mesh.CellType.quadrilateral if dim == 2 else mesh.CellType.hexahedron
+    domain = make(COMM, *[8] * dim, kind, partitioner=basis.shared_vertex_partitioner)
+    spacing = 1 / 19
+    body = points.lattice(domain, spacing, inside=lambda x: x[dim - 1] < 0.8)
+    basis.use(body, functions, 0.45 * spacing if functions == "gimp" else None)
+    V = fem.functionspace(domain, ("Lagrange", 1, (dim,)))
+    form = forms.form(ufl.div(ufl.TestFunction(V)) * body.dx)
+    x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :dim]
+    inside = (x > 1e-9) & (x < 1 - 1e-9) & (x[:, -1:] < 0.8 - 0.38)  # three cells below the top
+
+    def largest():
+        sums = forms.assemble_vector(form)
+        sums.scatter_reverse(la.InsertMode.add)
+        own = sums.array[: inside.size].reshape(inside.shape)
+        return COMM.allreduce(np.abs(own[inside]).max(initial=0.0), MPI.MAX)
+
+    before, volumes = largest(), body.weight.copy()
+    balance = BalancedWeights(body, ActiveCells(body))
+    balance()
+    assert before > 1e-3 * 0.125 ** (dim - 1)
+    assert largest() < 1e-6 * before
+    change = body.weight / volumes - 1
+    assert 0.001 < COMM.allreduce(np.abs(change).max(initial=0.0), MPI.MAX) < 0.2
+    assert body.volume() == pytest.approx(COMM.allreduce(volumes.sum()), rel=0.01)
+    # what is balanced stays as it is
+    volumes = body.weight.copy()
+    balance()
+    assert body.weight == pytest.approx(volumes, rel=1e-6)
 
 
 @pytest.mark.mpi

@@ -13,7 +13,7 @@ from scipy.integrate import solve_bvp
 
 from fenicsmpm import ImplicitMPM, MaterialPoints, basis, points
 from fenicsmpm import formulations as fm
-from fenicsmpm.cells import ActiveCells, correct_weights
+from fenicsmpm.cells import ActiveCells, BalancedWeights, correct_weights
 from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import Hencky
 from fenicsmpm.simulation import Reaction
@@ -30,7 +30,7 @@ class Column:
 
     L, E, density, g = 50.0, 1e4, 80.0, 9.81
 
-    def __init__(self, functions, h=1.0, corrected=False, steps=40, **newton):
+    def __init__(self, functions, h=1.0, weights="as they are", steps=40, **newton):
         n = round(self.L / h)
         domain = mesh.create_rectangle(
             MPI.COMM_WORLD, [(0, 0), (h, self.L)], [1, n], mesh.CellType.quadrilateral
@@ -52,9 +52,11 @@ class Column:
         R = fm.stress_power(P, z.test.u, body)
         R -= ufl.inner(scheme.force(body, weight), z.test.u) * body.dx
         observers = [self.floor]
-        if corrected:
-            cells = ActiveCells(body)
+        cells = ActiveCells(body)
+        if weights == "corrected":
             observers.append(lambda sim, step: correct_weights(body, cells))
+        elif weights == "balanced":
+            observers.append(BalancedWeights(body, cells))
         self.sim = ImplicitMPM(R, z, scheme, body, data=load, observers=observers, newton=newton)
 
     def error(self):
@@ -82,12 +84,21 @@ def test_column_under_its_own_weight(functions, bound):
     assert column.floor.value == pytest.approx((0, weight), rel=1e-9, abs=1e-9 * weight)
 
 
-@pytest.mark.parametrize("functions,corrected", [("linear", True), ("cpgimp", False)])
-def test_integrals_over_moved_points_converge(functions, corrected):
-    """Moved points integrate badly, but for corrected weights, and sizes that follow the points."""
+@pytest.mark.parametrize(
+    "functions,weights",
+    [
+        ("linear", "corrected"),
+        ("cpgimp", "as they are"),
+        ("gimp", "balanced"),
+        ("quadratic", "balanced"),
+        ("cubic", "balanced"),
+    ],
+)
+def test_integrals_over_moved_points_converge(functions, weights):
+    """Moved points integrate badly, but for better weights, and sizes that follow the points."""
     errors = []
     for h in (2.0, 1.0, 0.5, 0.25):
-        column = Column(functions, h, corrected)
+        column = Column(functions, h, weights)
         for _ in column.sim.run(1.0):
             pass
         errors.append(column.error())

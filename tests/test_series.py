@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -410,15 +411,9 @@ def test_a_file_that_cannot_grow_is_as_it_was(directory):
     assert first_values(grids) == [1.0, 2.0]
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("stage", ["rows", "tables"])
-def test_a_disk_that_is_full_later_leaves_what_was_there(stage, directory, monkeypatch):
-    """Where room cannot be had in advance; one rank alone finds out, in the middle of its rows."""
-    points, path = many_points(), directory / "a.vtkhdf"
-    series = io.Series(path, points)
-    points["u"] = 1.0
-    series.write(1.0)
-    points["u"] = 2.0
+@contextmanager
+def full_disk(stage, monkeypatch):
+    """No room while tables or rows are written; one rank alone finds out, amid its rows."""
     rest, write = [3], growing.Place.write
 
     def full(*arguments):
@@ -432,8 +427,21 @@ def test_a_disk_that_is_full_later_leaves_what_was_there(stage, directory, monke
             patch.setattr(vtkhdf, "_put", full)
         elif comm.rank == comm.size - 1:
             patch.setattr(growing.Place, "write", full)
-        with pytest.raises(OSError, match=r"t = 2 s .*No space left.*a\.vtkhdf") as caught:
-            series.write(2.0)
+        yield
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("stage", ["rows", "tables"])
+def test_a_disk_that_is_full_later_leaves_what_was_there(stage, directory, monkeypatch):
+    """Where room cannot be had in advance."""
+    points, path = many_points(), directory / "a.vtkhdf"
+    series = io.Series(path, points)
+    points["u"] = 1.0
+    series.write(1.0)
+    points["u"] = 2.0
+    message = r"t = 2 s .*No space left.*a\.vtkhdf"
+    with full_disk(stage, monkeypatch), pytest.raises(OSError, match=message) as caught:
+        series.write(2.0)
     assert caught.value.errno == errno.ENOSPC
     times, grids = read(path)
     assert series.times == times == first_values(grids) == [1.0]
@@ -441,6 +449,30 @@ def test_a_disk_that_is_full_later_leaves_what_was_there(stage, directory, monke
     series.write(3.0)
     times, grids = read(path)
     assert times == first_values(grids) == [1.0, 3.0]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("stage", ["rows", "tables"])
+def test_a_series_that_cannot_go_on_keeps_its_later_times(stage, directory, monkeypatch):
+    """A restart writes over them, but not before its first time is there as a whole."""
+    points, path = many_points(), directory / "a.vtkhdf"
+    first = io.Series(path, points)
+    for k in range(4):
+        points["u"] = float(k)
+        first.write(float(k))
+    comm.barrier()
+    before = path.read_bytes()
+    points["u"] = 9.0
+    series = io.Series(path, points, append=True)
+    with full_disk(stage, monkeypatch), pytest.raises(OSError, match="No space left"):
+        series.write(1.5)
+    comm.barrier()
+    assert path.read_bytes() == before
+    assert names(directory) == ["a.vtkhdf"]
+    series.write(1.5)
+    times, grids = read(path)
+    assert times == [0.0, 1.0, 1.5] and first_values(grids) == [0.0, 1.0, 9.0]
+    assert path.stat().st_size == len(before)  # in the place of what was dropped
 
 
 def test_a_run_killed_at_any_write_leaves_what_was_there(directory, monkeypatch):

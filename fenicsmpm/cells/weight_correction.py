@@ -36,25 +36,40 @@ def correct_weights(body: MaterialPoints, cells: ActiveCells) -> None:
     Raises:
         ValueError: If the body is not one of the point sets of the cells.
     """
+    fill = filled_fractions(body)
+    full = inner_cells(body, cells) & (fill >= _LEAST) & (fill <= _MOST)
+    factor = np.divide(1.0, fill, out=np.ones(len(fill)), where=full)
+    body["weight"] = body.weight * factor[body.cell]
+
+
+def inner_cells(body: MaterialPoints, cells: ActiveCells) -> npt.NDArray[np.bool_]:
+    """Return which owned cells are inside a body, without another one, ``(n_owned_cells,)``.
+
+    None of their vertices belongs to a cell without points.
+
+    Args:
+        body: Material points.
+        cells: Active cells of the body, of others that it touches, and of loads.
+
+    Raises:
+        ValueError: If the body is not one of the point sets of the cells.
+    """
     if body not in cells.points:
         raise ValueError(
             "the body must be one of the point sets of the active cells: ActiveCells(body, ...)"
         )
     mesh = cells.mesh
-    fill = filled_fractions(body)
-    empty = np.ones(len(fill), dtype=np.bool_)
+    empty = np.ones(body.geometry.num_owned, dtype=np.bool_)
     for points in cells.points:
         if points not in cells.touching:
             empty[points.cell] = False
-    at_gap = nodes_of(mesh, np.flatnonzero(empty))[_compat.geometry_dofmap(mesh)[: len(fill)]].any(
-        axis=1
-    )
-    full = ~at_gap & (fill >= _LEAST) & (fill <= _MOST)
+    corners = _compat.geometry_dofmap(mesh)[: len(empty)]
+    at_gap = nodes_of(mesh, np.flatnonzero(empty))[corners]
+    inner: npt.NDArray[np.bool_] = np.logical_not(at_gap.any(axis=1))
     for other in cells.points:
         if other is not body and "V_0" in other:
-            full[other.cell] = False
-    factor = np.divide(1.0, fill, out=np.ones(len(fill)), where=full)
-    body["weight"] = body.weight * factor[body.cell]
+            inner[other.cell] = False
+    return inner
 
 
 def filled_fractions(body: MaterialPoints) -> npt.NDArray[np.float64]:

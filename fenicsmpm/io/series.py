@@ -51,7 +51,8 @@ class Series(Observer):
             "id" of points is always written.
         every: Time between two writes in s; None for the beginning and each step.
         append: Whether to continue an earlier series, after a restart. What it wrote up to the
-            time at which the run begins is kept.
+            time at which the run begins is kept. If later times have to go, the first ``write``
+            makes a copy without them, which then takes the place of the file.
 
     Raises:
         ValueError: For names that do not end in .vtkhdf, and without data.

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +90,7 @@ class GridFile:
         self.names: list[str] = []
 
     def resume(self, comm: MPI.Intracomm, end: float) -> None:
-        """Continue an earlier file. Nothing changes before the next time is written. Collective.
+        """Continue an earlier file. It does not change until the next time is written. Collective.
 
         Args:
             comm: Communicator of the ranks.
@@ -100,8 +101,8 @@ class GridFile:
             ValueError: On all ranks, if it was not written by this class.
         """
         found = do_there(comm, comm.rank == 0, lambda: self._read(end))
-        self.times, self.names, self._last = comm.bcast(found)
-        self._is_there = self._must_cut = bool(self.times)
+        self.times, self.names, self._last, self._must_cut = comm.bcast(found)
+        self._is_there = bool(self.times)
 
     def append(
         self,
@@ -125,7 +126,9 @@ class GridFile:
             OSError: On all ranks, if the file cannot be written; earlier times stay as they were.
             ValueError: On all ranks, if the file has other fields.
         """
-        target = self._path if self._is_there else self._path.with_name(self._path.name + ".tmp")
+        # a new file, and one that loses times, takes its place when it is complete
+        in_place = self._is_there and not self._must_cut
+        target = self._path if in_place else self._path.with_name(self._path.name + ".tmp")
         try:
             step = self._append(comm, target, time, x, cells, fields)
         except OSError as failure:
@@ -162,10 +165,12 @@ class GridFile:
         begins = {name: _begin(name, step) for name in own}
 
         def make_room() -> Any:
-            if not self._is_there:
+            if self._is_there:
+                self._check(own)
+            else:
                 self._create(target, own, totals)
-            self._check(target, own)
             if self._must_cut:
+                shutil.copy(self._path, target)
                 self._cut(target)
             ends = {name: begins[name] + totals[name] for name in own}
             return extend(target, begins, ends)
@@ -234,11 +239,11 @@ class GridFile:
                 add_array(file, name, rows.dtype, width, totals[name])
         path.write_bytes(content.getvalue())
 
-    def _check(self, path: Path, own: Rows) -> None:
+    def _check(self, own: Rows) -> None:
         """Raise ValueError unless the fields are those of the file."""
         import h5py
 
-        with open(path, "rb") as stream, h5py.File(stream) as file:
+        with open(self._path, "rb") as stream, h5py.File(stream) as file:
             there = {name: (data.dtype, data.shape[1:]) for name, data in file[FIELDS].items()}
         prefix = f"{FIELDS}/"
         here = {
@@ -271,10 +276,10 @@ class GridFile:
             _put(steps["Values"], number, time)
         os.replace(target, self._path)
 
-    def _read(self, end: float) -> tuple[list[float], list[str], _Step]:
-        """Return the times that are kept, names of fields, and the start of the last time."""
+    def _read(self, end: float) -> tuple[list[float], list[str], _Step, bool]:
+        """Return kept times, names of fields, the start of the last one, and if others follow."""
         if not self._path.exists():
-            return [], [], _Step()
+            return [], [], _Step(), False
         with open(self._path, "rb") as stream:
             try:
                 return self._find(stream, end)
@@ -282,7 +287,7 @@ class GridFile:
                 raise ValueError(f"{self._path} is no series: {failure}") from failure
 
     @staticmethod
-    def _find(stream: BinaryIO, end: float) -> tuple[list[float], list[str], _Step]:
+    def _find(stream: BinaryIO, end: float) -> tuple[list[float], list[str], _Step, bool]:
         import h5py
 
         with h5py.File(stream) as file:
@@ -290,7 +295,7 @@ class GridFile:
             times = steps["Values"][: steps.attrs["NSteps"]].tolist()
             kept = sum(is_until(time, end) for time in times)
             if kept == 0:
-                return [], [], _Step()
+                return [], [], _Step(), False
             last = _Step(
                 part=int(steps["PartOffsets"][kept - 1]),
                 point=int(steps["PointOffsets"][kept - 1]),
@@ -300,7 +305,7 @@ class GridFile:
             )
             sizes = [int(file[name][last.part]) for name in PARTS]
             last.n_points, last.n_cells, last.n_connectivity = sizes
-            return times[:kept], list(file[FIELDS]), last
+            return times[:kept], list(file[FIELDS]), last, kept < len(times)
 
     def _cut(self, path: Path) -> None:
         """Remove later times from the tables."""

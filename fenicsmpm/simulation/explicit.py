@@ -187,7 +187,6 @@ class ExplicitMPM(Described):
         self._torn_off, self._next_look = TornOff(self.bodies, self.carried), _LOOK
         self._torn_off.look(self.time)
         self._observers = Observers(observers)
-        self._observers.call("start", self)
 
     def _all_updates(
         self, R: ufl.Form, updates: Mapping[MaterialPoints, Mapping[str, Any]]
@@ -280,6 +279,7 @@ class ExplicitMPM(Described):
         Raises:
             UnstableError: As for ``run``.
         """
+        self._observers.start(self)
         self._observers.call("begin", self)
         removed = self._advance(1, self._step_length(), may_stay=True)
         return self._done(removed)
@@ -310,6 +310,7 @@ class ExplicitMPM(Described):
             # counted from the current time, so that a restart there does the same
             stop = until if interval is None else min(until, self.time + interval)
             removed = 0
+            self._observers.start(self)
             self._observers.call("begin", self)
             while stop - self.time > 1e-9 * self.dt:
                 # equal steps that end at the stop, none longer than allowed

@@ -169,7 +169,6 @@ class ImplicitMPM(Described):
         }
         self._torn_off = [TornOff(motion.bodies, motion.carried) for motion in self._motions]
         self._warn_of_torn_off()
-        self._observers.call("start", self)
 
     # --- stages ------------------------------------------------------------------------------
 
@@ -256,6 +255,7 @@ class ImplicitMPM(Described):
         dt = self.next_dt if dt is None else dt
         check_time_step(dt)
         require_points(self.bodies)
+        self._observers.start(self)
         before, old_dt = self._snapshot(), float(self.scheme.dt.value)
         clock = self.seconds
         try:

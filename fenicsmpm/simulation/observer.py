@@ -16,7 +16,7 @@ class Observer:
     """
 
     def start(self, sim: Any) -> None:
-        """Prepare, when the loop has been made.
+        """Prepare, before the first step of a loop.
 
         Args:
             sim: The simulation.
@@ -75,6 +75,13 @@ class Observers:
                 )
         self._all = list(watchers)
         self._with_stages = [w for w in self._all if isinstance(w, Observer)]
+        self._have_started = False
+
+    def start(self, sim: Any) -> None:
+        """Call ``start`` once, before the first step: until then a loop may still be refused."""
+        if not self._have_started:
+            self.call("start", sim)
+            self._have_started = True
 
     def call(self, stage: str, sim: Any) -> None:
         """Call the method of a stage by its name."""

@@ -62,6 +62,16 @@ class ProjectedTangent:
             for factors in self._all:
                 factors.projection.is_held = False
 
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Give the projections their values back when residuals of another U are known."""
+        before = [factors.projection.x.array.copy() for factors in self._all]
+        try:
+            yield
+        finally:
+            for factors, values in zip(self._all, before, strict=True):
+                factors.projection.x.array[:] = values
+
     def assemble(self, bcs: Sequence[fem.DirichletBC], stays: bool = False) -> None:
         """Assemble the factors for the current U (collective).
 
