@@ -381,12 +381,14 @@ class ExplicitMPM(Described):
     @property
     def memory(self) -> dict[str, float]:
         """Numbers that the next step depends on, in addition to the points, for checkpoints."""
-        return {**self._way.memory, **memory_of(self.rigid)}
+        return {**self._way.memory, **memory_of(self.rigid), **self._observers.memory}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
-        self._way.memory = dict(values)
-        remember(self.rigid, dict(values))
+        rest = dict(values)
+        self._observers.remember(rest)
+        self._way.memory = dict(rest)
+        remember(self.rigid, rest)
 
     # --- time step -----------------------------------------------------------------------------
 

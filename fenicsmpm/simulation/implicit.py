@@ -379,7 +379,8 @@ class ImplicitMPM(Described):
     def memory(self) -> dict[str, float]:
         """Numbers that the next step depends on, in addition to the points, for checkpoints."""
         dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt, "longest": self._dt}
-        return {**dt, **memory_of_schemes(self.motions), **memory_of(self.rigid)}
+        parts = memory_of_schemes(self.motions), memory_of(self.rigid), self._observers.memory
+        return {**dt, **{name: value for part in parts for name, value in part.items()}}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
@@ -387,6 +388,7 @@ class ImplicitMPM(Described):
         self._set_length(rest.pop("dt"))
         self.next_dt, self._dt = rest.pop("next_dt"), rest.pop("longest")
         remember(self.rigid, rest)
+        self._observers.remember(rest)
         remember_schemes(self.motions, rest)
 
     def _warn_of_torn_off(self) -> None:
