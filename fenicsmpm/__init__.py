@@ -23,6 +23,7 @@ from fenicsmpm import (
     transfer,
     verification,
 )
+from fenicsmpm._memory import return_large_arrays
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, UnstableError
@@ -54,3 +55,5 @@ __all__ = [
 # Ranks share the cores: by default, each rank assembles with one thread.
 if MPI.COMM_WORLD.size > 1 and "NUMBA_NUM_THREADS" not in os.environ:
     numba.set_num_threads(1)
+
+return_large_arrays()

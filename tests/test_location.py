@@ -310,9 +310,9 @@ def test_one_folded_cell_of_a_mesh_is_named_on_all_ranks(kind):
     mesh = make(world, *d * [4], kind)
     mesh.topology.create_connectivity(d, d)
     geometry = cell_geometry(mesh)
+    in_corner = np.all(geometry.corners(np.arange(geometry.num_owned)) < 0.3, axis=(1, 2))
     x = mesh.geometry.x
     x[np.all(np.abs(x[:, :d] - 0.25) < 1e-9, axis=1), :d] = 0.05
-    in_corner = np.all(geometry.corners(np.arange(geometry.num_owned)) < 0.3, axis=(1, 2))
     (number,) = np.concatenate(world.allgather(geometry.key[: geometry.num_owned][in_corner]))
     with pytest.raises(ValueError, match=f"1 cells .* its sign, first number {number} with"):
         quadrature(mesh, 2)

@@ -21,6 +21,7 @@ from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lines import CUBIC, GIMP, LINEAR, QUADRATIC, WIDTH, tabulate_line
 from fenicsmpm.basis.stencil import LEAST, derivative_rows, round_off
 from fenicsmpm.points.agreement import raise_together
+from fenicsmpm.points.boxes import number_along
 from fenicsmpm.points.sorting import sort_by_number
 
 if TYPE_CHECKING:
@@ -353,10 +354,8 @@ def _find_boxes(x, cell, boxes, group_of, group):  # type: ignore[no-untyped-def
     dim = x.shape[1]
     for p in numba.prange(len(x)):
         part = 0
-        place = boxes.number[cell[p]]
-        for k in range(dim - 1, -1, -1):
-            place, i = divmod(place, boxes.box[k])
-            if _position(boxes, x[p, k], boxes.first[k] + i, k) >= 0.5:
+        for k in range(dim):
+            if _position(boxes, x[p, k], number_along(boxes, cell[p], k), k) >= 0.5:
                 part += 1 << (dim - 1 - k)
         group[p] = group_of[cell[p], part]
 
@@ -376,10 +375,8 @@ def _tabulate(  # type: ignore[no-untyped-def]
         lines = np.ones((3, 3, width))
         for k in range(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK)):
             p = order[k]
-            place = boxes.number[cell[p]]
-            for m in range(dim - 1, -1, -1):
-                place, i = divmod(place, boxes.box[m])
-                i += boxes.first[m]
+            for m in range(dim):
+                i = number_along(boxes, cell[p], m)
                 t = _position(boxes, x[p, m], i, m)
                 tabulate_line(kind, i, t, boxes.shape[m], half[p % len(half), m], lines[m])
                 for a in range(width):

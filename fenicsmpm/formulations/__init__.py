@@ -9,6 +9,7 @@ from fenicsmpm.formulations.boundary import (
     penalty_dirichlet,
     set_normals,
 )
+from fenicsmpm.formulations.condition import Condition
 from fenicsmpm.formulations.contact import contact, contact_traction
 from fenicsmpm.formulations.energy_momentum import EnergyMomentum, stress_power
 from fenicsmpm.formulations.fbar import ALGORITHM_1, TRUE_J, FBar, default_fbar
@@ -39,7 +40,7 @@ from fenicsmpm.formulations.stabilization import (
 from fenicsmpm.formulations.stabilization_parameters import element_size, tau
 from fenicsmpm.formulations.surface_gap import SurfaceGap
 from fenicsmpm.formulations.time_scheme import TimeScheme, density
-from fenicsmpm.formulations.unknown import Condition, Part, Unknown, coupled_unknowns
+from fenicsmpm.formulations.unknown import Part, Unknown, coupled_unknowns
 from fenicsmpm.formulations.walls import wall
 
 __all__ = [

@@ -32,9 +32,10 @@ class Law:
 
     Args:
         update: ``update(F, L, parameters, state, sigma)`` sets the Cauchy stress sigma ``(3, 3)``
-            [Pa] and replaces the state before the step ``(n_state,)`` by that after it. F is the
-            deformation gradient ``(3, 3)``, with F-bar the modified one (F33 is kept in plane
-            strain), and L the velocity gradient ``(3, 3)`` [1/s].
+            [Pa], all of it, and replaces the state before the step ``(n_state,)`` by that after it.
+            Explicit steps read the upper triangle only. F is the deformation gradient ``(3, 3)``,
+            with F-bar the modified one (F33 is kept in plane strain), and L the velocity gradient
+            ``(3, 3)`` [1/s].
         parameters: parameters ``(n_parameters,)``, which are passed to the functions.
         wave_speed_modulus: modulus of the fastest elastic wave [Pa], whose speed is the square root
             of modulus over density. For solids it is lambda + 2 mu.

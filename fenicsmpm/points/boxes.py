@@ -2,7 +2,7 @@
 """Meshes whose cells are equal axis-parallel boxes on a lattice.
 
 Positions of such cells follow from their numbers. Large domains that are mostly empty are meshed
-this way, so only two numbers are stored: the place of each cell, and the cell at each place.
+this way, so only one number is stored for each: the cell at each place.
 """
 
 import itertools
@@ -31,11 +31,12 @@ class Boxes(NamedTuple):
         shape: Number of cells of the whole mesh in each direction, shape (d,), int64.
         first: Lowest number of this rank's cells in each direction, shape (d,), int64.
         box: Size of the bounding box of this rank's cells in cells, shape (d,), int64.
-        number: Place of each cell in that box, last direction fastest, int32.
-        cell: Local cell at each place of that box, -1 for none, int32.
+        cell: Local cell at each place of that box, last direction fastest, -1 for none, int32.
         turn: Turn of each cell, uint8; one entry if it is the same for all cells.
         axis: Lattice direction of each reference axis, shape (turns, d), int64.
         down: Whether the reference axis points downwards, shape (turns, d), bool.
+        x: dolfinx' nodes in m, shape (n, 3).
+        vertices: dolfinx' nodes of each cell, shape (cells, 2**d).
     """
 
     origin: npt.NDArray[np.float64]
@@ -43,16 +44,18 @@ class Boxes(NamedTuple):
     shape: npt.NDArray[np.int64]
     first: npt.NDArray[np.int64]
     box: npt.NDArray[np.int64]
-    number: npt.NDArray[np.int32]
     cell: npt.NDArray[np.int32]
     turn: npt.NDArray[np.uint8]
     axis: npt.NDArray[np.int64]
     down: npt.NDArray[np.bool_]
+    x: npt.NDArray[np.float64]
+    vertices: npt.NDArray[np.int32]
 
     def numbers(self, cells: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
         """Return numbers of `cells` (n,) in each direction, from 0 at the origin, shape (n, d)."""
-        places = np.unravel_index(self.number[cells], tuple(self.box))
-        return self.first + np.stack(places, axis=-1).astype(np.int64)
+        result = np.empty((len(cells), len(self.box)), dtype=np.int64)
+        _numbers(self, np.asarray(cells), result)
+        return result
 
     def at(self, index: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
         """Return local cells by numbers (..., d), -1 if not on this rank, shape (...)."""
@@ -164,9 +167,8 @@ def find_boxes(
     off = np.inf
     if fits:
         cell = np.full(np.prod(box), -1, dtype=np.int32)
-        number = np.empty(len(nodes), dtype=np.int32)
         code = np.empty(len(nodes), dtype=np.uint8)
-        off = _place_cells(x, nodes, origin, spacing, low, box, number, cell, code)
+        off = _place_cells(x, nodes, origin, spacing, low, box, cell, code)
     off = comm.allreduce(float(off), MPI.MAX)
     if off > _SLACK:
         return nothing
@@ -175,12 +177,12 @@ def find_boxes(
     turn = turn if len(turn) else np.zeros(1, dtype=np.uint8)
     digits = codes[:, None] // 6 ** np.arange(dim) % 6
     axis, down = digits // 2, digits % 2 == 1
-    return Boxes(origin, spacing, shape, low, box, number, cell, turn, axis, down), off
+    return Boxes(origin, spacing, shape, low, box, cell, turn, axis, down, x, nodes), off
 
 
 @njit
 def _place_cells(  # type: ignore[no-untyped-def]
-    x, nodes, origin, spacing, first, box, number, cell, code
+    x, nodes, origin, spacing, first, box, cell, code
 ):
     """Fill the tables of `Boxes`; the turn is coded in base 6.
 
@@ -229,8 +231,28 @@ def _place_cells(  # type: ignore[no-untyped-def]
         if cell[place] >= 0:
             return np.inf  # two cells at the same place
         cell[place] = c
-        number[c] = place
     return off
+
+
+@njit
+def number_along(boxes: Boxes, c, k):  # type: ignore[no-untyped-def]
+    """Return the number of cell c in direction k, from 0 at the origin.
+
+    It follows from the cell's first vertex: a table would need memory for all empty cells, too.
+    """
+    t = boxes.turn[c] if len(boxes.turn) > 1 else boxes.turn[0]
+    i = np.rint((boxes.x[boxes.vertices[c, 0], k] - boxes.origin[k]) / boxes.spacing[k])
+    for a in range(len(boxes.box)):
+        if boxes.axis[t, a] == k and boxes.down[t, a]:
+            i -= 1.0
+    return np.int64(i)
+
+
+@njit
+def _numbers(boxes: Boxes, cells, result):  # type: ignore[no-untyped-def]
+    for n in range(len(cells)):
+        for k in range(result.shape[1]):
+            result[n, k] = number_along(boxes, cells[n], k)
 
 
 @njit
@@ -360,11 +382,9 @@ def _turn(boxes: Boxes, c, s):  # type: ignore[no-untyped-def]
 def pull_back_to_boxes(boxes: Boxes, x, cell, xi):  # type: ignore[no-untyped-def]
     """Compute reference coordinates xi (n, d) of points x (n, d) in given cells (n,)."""
     for p in range(len(x)):
-        rest = boxes.number[cell[p]]
-        for i in range(x.shape[1] - 1, -1, -1):
+        for i in range(x.shape[1]):
             t = (x[p, i] - boxes.origin[i]) / boxes.spacing[i]
-            xi[p, i] = t - (boxes.first[i] + rest % boxes.box[i])
-            rest //= boxes.box[i]
+            xi[p, i] = t - number_along(boxes, cell[p], i)
         _turn(boxes, cell[p], xi[p])
 
 
@@ -376,8 +396,5 @@ def _push_forward(boxes: Boxes, cell, xi, x):  # type: ignore[no-untyped-def]
         t = boxes.turn[c] if len(boxes.turn) > 1 else boxes.turn[0]
         for a in range(d):
             x[p, boxes.axis[t, a]] = 1.0 - xi[p, a] if boxes.down[t, a] else xi[p, a]
-        rest = boxes.number[c]
-        for i in range(d - 1, -1, -1):
-            k = boxes.first[i] + rest % boxes.box[i]
-            x[p, i] = boxes.origin[i] + (k + x[p, i]) * boxes.spacing[i]
-            rest //= boxes.box[i]
+        for i in range(d):
+            x[p, i] = boxes.origin[i] + (number_along(boxes, c, i) + x[p, i]) * boxes.spacing[i]

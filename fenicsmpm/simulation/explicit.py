@@ -21,8 +21,9 @@ from fenicsmpm.basis import functions_of
 from fenicsmpm.basis.lattice import lattice_of
 from fenicsmpm.basis.lattice_stencil import KINDS
 from fenicsmpm.basis.lines import WIDTH
+from fenicsmpm.formulations.condition import Condition
 from fenicsmpm.formulations.time_scheme import check_time_step
-from fenicsmpm.formulations.unknown import Condition, Unknown
+from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.exits import Exits

@@ -442,7 +442,8 @@ class LatticeEngine:
         nodal = function.x.array.reshape(-1, values.shape[1])
         written = self._written.get(id(function))
         if written is not self._dofs:
-            nodal[slice(None) if written is None else written] = 0.0
+            if written is not None or nodal.any():  # writing zeros would need memory
+                nodal[slice(None) if written is None else written] = 0.0
             self._written[id(function)] = self._dofs
         link.collect(values, self._dofs, nodal)
         function.x.scatter_forward()

@@ -27,6 +27,7 @@ from fenicsmpm.transfer.body import Body
 from fenicsmpm.transfer.contact import contact
 from fenicsmpm.transfer.fused import Kernels, transfers
 from fenicsmpm.transfer.sharing import Sharing, Sums
+from fenicsmpm.transfer.stresses import STORED
 from fenicsmpm.transfer.tiles import (
     Integers,
     Layout,
@@ -73,6 +74,7 @@ class Part:
         dim = points.mesh.geometry.dim
         self.points, self._law, self._fbar = points, law, fbar
         self._dim, self._rates, self._kind = dim, law.needs_rate, kind
+        self._n_stored = len(STORED[dim])
         self.maps_back = kind == LINEAR
         self._contact = contact(dim, kind)
         self._half = half_size(points)
@@ -120,7 +122,7 @@ class Part:
         for name, rows in self._slips.items():
             slip = out_of_blocks(rows, self._order, n, (2, self._dim))
             self._slips[name] = in_blocks(slip, order)
-        sigma = out_of_blocks(self._sigma, self._order, n, (9,))
+        sigma = out_of_blocks(self._sigma, self._order, n, (self._n_stored,))
         self._sigma = in_blocks(sigma, order)
         self._body = Body(**old)
 
@@ -208,7 +210,8 @@ class Part:
             raise ValueError(f"only the parameters of a body's law may change, not its kind: {law}")
         points, d, order = self.points, self._dim, self._order
         n = len(points)
-        # the largest first, since making blocks needs temporary copies
+        # those with temporary copies first
+        self._sigma = in_blocks(points["sigma"].reshape(n, 9)[:, STORED[d]], order)
         F, F33 = _plane_parts(points["F"], d, law.is_fluid)
         J_0 = np.empty(0) if self._fbar is None else points["J_0"]
         J_0 = J_0[:0] if np.all(J_0 == 1) else J_0
@@ -230,7 +233,6 @@ class Part:
             L=np.zeros_like(F) if self._rates else np.empty((0, LANES)),
             parameters=np.asarray(law.parameters),
         )
-        self._sigma = in_blocks(points["sigma"], order)
         self._slips = {name: in_blocks(points[name], order) for name in slips}
         self._reference: Array | None = None  # initial positions, if those at the beginning change
         self._version = points.version
@@ -353,7 +355,7 @@ class Part:
             keep: Whether to keep the stresses.
         """
         body, average = self._working, self._fbar is not None
-        self._sigma = empty_rows(9 * len(body.mass) if keep else 0, LANES)
+        self._sigma = empty_rows(self._n_stored * len(body.mass) if keep else 0, LANES)
         self._kernels.finish(
             self._units, self._nodes, self._half, body, average, self._all_sums.ravel(), again,
             self._sigma, flat(self._all_rows),
@@ -380,7 +382,7 @@ class Part:
         if np.isfinite(self._sigma.sum()):
             return -1
         bad = np.flatnonzero(~np.isfinite(self._sigma).all(axis=1))
-        return int(bad[0] // 9) if len(bad) else -1
+        return int(bad[0] // self._n_stored) if len(bad) else -1
 
     @property
     def changing(self) -> list[str]:
@@ -407,7 +409,12 @@ class Part:
         if name == "J_bar":
             return {"J_bar": out_of_blocks(body.J_bar, order, n)}
         if name == "sigma":
-            return {"sigma": out_of_blocks(self._sigma, order, n, (3, 3))}
+            stored = out_of_blocks(self._sigma, order, n, (self._n_stored,))
+            sigma = np.zeros((n, 3, 3))
+            for k, component in enumerate(STORED[d]):
+                i, j = divmod(component, 3)
+                sigma[:, i, j] = sigma[:, j, i] = stored[:, k]
+            return {"sigma": sigma}
         if name in self._slips:
             return {name: out_of_blocks(self._slips[name], order, n, (2, d))}
         if name in self._law.state:
@@ -505,8 +512,9 @@ class Part:
         inside = np.all((t >= -ON_WALL) & (t <= nodes.shape[:d] - 1 + ON_WALL), axis=1)
         good = inside & (J > 0) & np.isfinite(J)
         if over:
-            sigma = self._sigma[block * 9 : (block + 1) * 9]
-            good &= np.isfinite(out_of_blocks(sigma, one, len(ids), (9,))).all(axis=1)
+            rows = self._n_stored
+            sigma = self._sigma[block * rows : (block + 1) * rows]
+            good &= np.isfinite(out_of_blocks(sigma, one, len(ids), (rows,))).all(axis=1)
         i = int(np.argmin(good))
         where = np.array2string(x[i], precision=6)
         what = (

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm import _compat
-from fenicsmpm.formulations.unknown import Condition
+from fenicsmpm.formulations.condition import Condition
 from fenicsmpm.simulation.explicit import ExplicitMPM
 from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.step import Step

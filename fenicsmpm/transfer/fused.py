@@ -34,7 +34,7 @@ from fenicsmpm.basis.lines import WIDTH
 from fenicsmpm.basis.windows import window
 from fenicsmpm.lanes import LANES, LINE_LANES, choose, load, prefetch, store, zeros
 from fenicsmpm.transfer import fused_to_nodes, fused_to_points
-from fenicsmpm.transfer.stresses import stresses
+from fenicsmpm.transfer.stresses import STORED, stresses
 from fenicsmpm.transfer.windows import SPARE, scratch_rows, windows
 
 _njit = numba.njit(**INNER)
@@ -94,6 +94,7 @@ def transfers(
     interpolate, move_block, deform_block = of_point.interpolate, of_point.move, of_point.deform
     means, volume_ratio, root = of_point.means, of_point.volume_ratio, of_point.root
     set_stress = stresses(update, update_eight, n_state, rates)
+    stored, n_stored = STORED[dim], len(STORED[dim])
 
     @inline
     def fetch(body, block):
@@ -133,18 +134,16 @@ def transfers(
             units.first[unit, k], units.last[unit, k] = int(first), int(last) + width - 1
 
     @inline
-    def give(unit, units, nodes, half, body, x, sigma, begin, work, scratch, rows):
-        """Add the points of a unit at positions x to the nodes.
-
-        Their stresses are in ``sigma``, starting with the block ``begin``.
-        """
+    def give(unit, units, nodes, half, body, x, stress, work, scratch, rows):
+        """Add the points of a unit at positions x with stresses ``(3, 3)`` to the nodes."""
         corner, base, w, d, lines, reach = work
+        begin = units.blocks[unit]
         no_reach(reach)
-        for block in range(units.blocks[unit], units.blocks[unit + 1]):
+        for block in range(begin, units.blocks[unit + 1]):
             fill(x, block, nodes, half, units.lower[unit], corner, base, w, d)
             widen(reach, corner)
             V = volume_ratio(body, block) * load(body.V_0, block)
-            pack(block, body, V, sigma, 9 * (block - begin), lines)
+            pack(block, body, V, stress, 9 * (block - begin), lines)
             add(base, w, d, lines, scratch)
         keep_reach(reach, units, unit)
         copies.add_rows(unit, units.target, units.first, units.last, scratch, rows)
@@ -158,13 +157,27 @@ def transfers(
             scratch_rows(6, LANES),
         )  # fmt: skip
 
+    @_allocates
+    def for_stresses(chunk, units):
+        """Return memory for the stresses (3, 3) of any unit of a chunk."""
+        most = np.int64(0)
+        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
+            most = max(most, units.blocks[unit + 1] - units.blocks[unit])
+        return scratch_rows(9 * most, LANES)
+
     @_njit
     def scatter(chunk, units, nodes, half, body, sigma, rows):
-        """Add points with known stresses (3, 3) to the nodes."""
+        """Add points with known stresses, see ``STORED``, to the nodes."""
         work = to_work_with(fused_to_nodes.LINES)
-        scratch = scratch_rows(count, LANES)
+        scratch, stress = scratch_rows(count, LANES), for_stresses(chunk, units)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            give(unit, units, nodes, half, body, body.x, sigma, 0, work, scratch, rows)
+            begin = units.blocks[unit]
+            for block in range(begin, units.blocks[unit + 1]):
+                for k in range(n_stored):
+                    store(
+                        stress, 9 * (block - begin) + stored[k], load(sigma, n_stored * block + k)
+                    )
+            give(unit, units, nodes, half, body, body.x, stress, work, scratch, rows)
 
     @_njit
     def momenta(chunk, units, nodes, half, body, rows):
@@ -233,26 +246,24 @@ def transfers(
     def finish(chunk, units, nodes, half, body, average, averages, again, sigma, rows):
         """Compute stresses from the averaged J and add them to the nodes for the next step.
 
-        They are also stored in ``sigma (n_blocks * 9, 8)`` if it has room. All stresses of a unit
-        are computed before they are added, so that processors work on several blocks at once.
+        They are also stored in ``sigma (n_blocks * n_stored, 8)`` if it has room, see ``STORED``.
+        All stresses of a unit are computed before they are added, so that processors work on
+        several blocks at once.
         """
-        is_kept, most = len(sigma) > 0, np.int64(0)
-        for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
-            most = max(most, units.blocks[unit + 1] - units.blocks[unit])
+        is_kept, stress = len(sigma) > 0, for_stresses(chunk, units)
         work, scratch = to_work_with(fused_to_nodes.LINES), scratch_rows(count, LANES)
         corner, base, w, d, lines, _ = work
         F_bar, rate = scratch_rows(9, LANES), scratch_rows(9, LANES)
         F_bar[8] = 1.0
         law_work, state_i = np.zeros((3, 3, 3)), np.empty(n_state)
         means_of = np.zeros(count + SPARE)
-        stress = sigma if is_kept else scratch_rows(9 * most, LANES)
         for unit in range(units.chunks[chunk], units.chunks[chunk + 1]):
             if average:
                 copies.load_averages(
                     unit, units.body_source, units.first, units.last, averages, means_of
                 )
-            begin = 0 if is_kept else units.blocks[unit]
-            for block in range(units.blocks[unit], units.blocks[unit + 1]):
+            begin = units.blocks[unit]
+            for block in range(begin, units.blocks[unit + 1]):
                 fetch(body, block + _AHEAD)
                 tensor = block * dim * dim
                 J = volume_ratio(body, block)
@@ -280,10 +291,12 @@ def transfers(
                     block, F_bar, rate, body.parameters, body.state, law_work, state_i, stress,
                     9 * (block - begin),
                 )  # fmt: skip
+                if is_kept:
+                    for k in range(n_stored):
+                        of_block = 9 * (block - begin) + stored[k]
+                        store(sigma, n_stored * block + k, load(stress, of_block))
             if again:
-                give(
-                    unit, units, nodes, half, body, body.x_next, stress, begin, work, scratch, rows
-                )
+                give(unit, units, nodes, half, body, body.x_next, stress, work, scratch, rows)
 
     @_parallel
     def scatter_all(units, nodes, half, body, sigma, rows):

@@ -58,8 +58,8 @@ def to_nodes(dim: int, width: int) -> ToNodes:
         """Compute the contributions of a block per value and slopes of a grid function.
 
         They are mass, momentum, volume and internal force (F-bar, eqs. 7, 8, 10). The stresses are
-        s (3, 3) from row ``first`` on. Each line is stored in memory and then loaded, which is
-        faster than in registers.
+        s (3, 3) from row ``first`` on, of which the upper triangle is read. Each line is stored in
+        memory and then loaded, which is faster than in registers.
         """
         m, nothing = load(body.mass, block), zeros()
         x, y = m * load(body.v, block * dim), m * load(body.v, block * dim + 1)
@@ -67,8 +67,8 @@ def to_nodes(dim: int, width: int) -> ToNodes:
         store_columns(lines, _LOW, m, x, y, z)
         store(lines, _VOLUMES * LINE_LANES // LANES, V)
         for k in range(dim):
-            x, y = -V * load(s, first + k), -V * load(s, first + 3 + k)
-            z = -V * load(s, first + 6 + k) if dim == 3 else nothing
+            x, y = -V * load(s, first + k), -V * load(s, first + 3 * min(1, k) + max(1, k))
+            z = -V * load(s, first + 3 * k + 2) if dim == 3 else nothing
             store_columns(lines, _X + k * LANES, nothing, x, y, z)
 
     @inline

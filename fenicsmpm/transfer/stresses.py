@@ -11,6 +11,10 @@ from typing import Any
 from fenicsmpm.basis.blocks import inline
 from fenicsmpm.lanes import LANES, tensors, works_on_rows
 
+# Components of a symmetric stress (3, 3), numbered by rows, that are stored between blocks of
+# steps, by dimension
+STORED = {2: (0, 1, 4, 8), 3: (0, 1, 2, 4, 5, 8)}
+
 
 @functools.cache
 def stresses(update: Any, update_eight: Any, n_state: int, rates: bool) -> Any:
