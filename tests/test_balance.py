@@ -18,7 +18,11 @@ from fenicsmpm.io.fingerprint import mesh_fingerprint
 from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid
 from fenicsmpm.points import fill, lattice, on_curve
 from fenicsmpm.points.geometry import cell_geometry
+<<<<<<< HEAD
 from fenicsmpm.simulation import Observer, Rebalanced, imbalance
+=======
+from fenicsmpm.simulation import Rebalanced, Sink, Source, imbalance
+>>>>>>> 9d73a8924809e93d1a6538bb7748a4762f476411
 from fenicsmpm.simulation.redistribution import Redistribution, cells_on, tags_on
 
 pytestmark = pytest.mark.ranks
@@ -366,6 +370,49 @@ def test_tags_and_observers_go_along(tmp_path):
     assert len(history["x [m]"]) == len(io.read_history(path)["x [m]"]) == 11
     assert history["t [s]"] == pytest.approx(np.linspace(0, 0.1, 11))
     assert series.times == pytest.approx(np.linspace(0, 0.1, 11))
+
+
+@pytest.mark.mpi
+def test_totals_of_sources_and_sinks_go_on(tmp_path):
+    """They are made anew with the mesh, and count all that has come and gone; so in a restart."""
+    flows, rho, h = [], 2.0, 0.125
+
+    def build(domain):
+        body = fill(domain, 2, inside=lambda x: x[0] < 0.75)
+        fm.set_initial_state(body, rho, (1.0, 0.0))
+        inlet = on_curve(domain, (0, 1), (0, 0), spacing=h / 2)
+        z = fm.Unknown(domain, "v")
+        z.fix("v", lambda x: np.isclose(x[0], 0), (1.0, 0.0))
+        R = fm.internal_force(z.test.v, body, NewtonianFluid(kappa=1e3, mu=1.0))
+        flows.append(
+            (Source(body, inlet, rho, (1.0, 0.0), h / 2), Sink(body, lambda x: x[0] > 0.8))
+        )
+        return ExplicitMPM(R, z, body, dt=5e-3, observers=flows[-1], on_exit="delete")
+
+    def totals():
+        return [(w.count, w.mass) for w in flows[-1]]
+
+    def domain():
+        return mesh.create_unit_square(comm, 8, 8, quadrilateral)
+
+    run, path = Rebalanced(build, domain(), most=10), comm.bcast(tmp_path) / "flow.h5"
+    start = comm.allreduce(run.sim.bodies[0]["mass"].sum())
+    for step in run.run(0.5):
+        if step.number in (30, 60):
+            run.rebalance()
+        if step.number == 70:
+            io.checkpoint.save(path, run.sim)
+    assert len(flows) == (1 if comm.size == 1 else 3)
+    (came, mass_in), (went, mass_out) = totals()
+    assert came == 8 * 16 and mass_in == pytest.approx(rho * 0.5)
+    assert type(came) is int and 16 * 6 < went < 16 * 8
+    mass = comm.allreduce(run.sim.bodies[0]["mass"].sum())
+    assert mass == pytest.approx(start + mass_in - mass_out)
+    again = build(domain())
+    io.checkpoint.restore(path, again)
+    for _ in again.run(0.5):
+        pass
+    assert totals() == [pytest.approx(t) for t in [(came, mass_in), (went, mass_out)]]
 
 
 # --- when it is worth it --------------------------------------------------------------------------

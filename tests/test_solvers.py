@@ -13,10 +13,10 @@ import pytest
 import ufl
 from dolfinx import fem, mesh
 
-from fenicsmpm import forms, formulations, points
+from fenicsmpm import ImplicitMPM, forms, formulations, points
 from fenicsmpm.cells import ActiveCells
 from fenicsmpm.formulations import Unknown
-from fenicsmpm.materials import NeoHookean
+from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.solvers import (
     LinearSolver,
     LinearSolverError,
@@ -139,6 +139,45 @@ def test_singular_matrix_is_reported():
     b.set(1.0)
     with pytest.raises(LinearSolverError, match="may be singular"):
         problem.solver.linear.solve(A, b, x)
+
+
+ITERATIONS = {"ksp_type": "gmres", "pc_type": "bjacobi", "sub_pc_type": "ilu"}
+EDGE = lambda x: np.isclose(x[0], 0) & np.isclose(x[1], 0)  # noqa: E731
+HOLDS = {  # dimension, what is held and its component, and the motions that are left
+    "nothing": (2, None, None, "move along x, move along y, turn about z"),
+    "rollers": (2, lambda x: np.isclose(x[1], 0), 1, "move along x"),
+    "a node": (2, EDGE, None, r"turn about \(0, 0\)"),
+    "nothing in space": (
+        3, None, None,
+        "move along x, move along y, move along z, turn about x, turn about y, turn about z",
+    ),
+    "a plate": (3, lambda x: np.isclose(x[2], 0), 2, "move along x, move along y, turn about z"),
+    "a hinge": (3, EDGE, None, r"turn about an axis along \(0, 0, 1\) through \(0, 0, "),
+}  # fmt: skip
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("options", [None, ITERATIONS], ids=["direct", "Krylov"])
+@pytest.mark.parametrize("held", HOLDS)
+def test_a_body_without_supports(held, options):
+    """Round-off would move it by 1e14 m; a load step is not halved in vain."""
+    dim, where, component, motions = HOLDS[held]
+    make = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
+    domain = make(MPI.COMM_WORLD, *[3] * dim)
+    body = points.fill(domain, 2, inside=lambda x: x[1] < 0.7)
+    formulations.set_initial_state(body, 1.0)
+    z = Unknown(domain, "u")
+    if where is not None:
+        z.fix("u", where, component=component)
+    P = formulations.Response(Hencky(E=1e3, nu=0.3), body, formulations.Kinematics(z.u, body).F).P
+    R = formulations.stress_power(P, z.test.u, body)
+    R += formulations.body_force(z.test.u, body, (1.0, -2.0, 3.0)[:dim])
+    scheme, newton = formulations.QuasiStatic(z, dt=1.0), {"petsc_options": options}
+    sim = ImplicitMPM(R, z, scheme, body, newton=newton)
+    with pytest.raises(NewtonError, match=f"nothing holds the body, which can {motions}") as caught:
+        next(sim.run(1.0))
+    assert caught.value.reason == "no support"
+    assert np.all(z.U.x.array == 0.0) and sim.next_dt == 1.0
 
 
 @pytest.mark.mpi

@@ -50,7 +50,7 @@ class RigidBody:
             or a function of time [s].
         friction: coefficient of friction [-], infinite for no slip.
         stiffness: stiffness of the barrier, in units of the mass of a point over the square of the
-            time step [-].
+            longest allowed time step [-].
         spacing: spacing of the samples of the distance [m]. None for half the reach.
         name: name in messages. None for the shape.
 
@@ -301,8 +301,12 @@ class RigidBody:
         self._q = product(about(dt * self._w), self._q)
         self._q = self._q / np.linalg.norm(self._q)
 
-    def contact(self) -> Contact:
-        """Return the data of the contact law at points, for the current place of the body."""
+    def contact(self, longest: float) -> Contact:
+        """Return the data of the contact law at points, for the current place of the body.
+
+        Args:
+            longest: longest allowed time step [s].
+        """
         share = 1.0
         if self.inertia is not None:
             mass, polar = self._touched
@@ -312,7 +316,7 @@ class RigidBody:
         before = np.ascontiguousarray(matrix(q)[: self.dim, : self.dim]), centre
         return Contact(
             self._field, self.rotation, self.position, self._origin, *before, self._v,
-            np.ascontiguousarray(W), self.reach, self.stiffness, self.friction, share,
+            np.ascontiguousarray(W), self.reach, self.stiffness, self.friction, share, longest,
         )  # fmt: skip
 
     def move(self, time: float, dt: float, pushed: Array) -> None:

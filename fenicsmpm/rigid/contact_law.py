@@ -38,7 +38,8 @@ from fenicsmpm.rigid.distance import distance_at
 _CLOSEST = 0.01
 # Largest share of the way out of the reach that a force may move a point in a step
 _OUT = 0.5
-# Stiffness of the friction spring, in units of the mass of a point over the square of the time step
+# Stiffness of the friction spring, in units of the mass of a point over the square of the longest
+# time step
 _SPRING = 0.25
 # Number of attempts to move a point out of a body; near edges the first direction may be wrong
 _ATTEMPTS = 10
@@ -58,10 +59,12 @@ class Contact(NamedTuple):
         spin: spin matrix ``(d, d)`` [1/s]: a place at r from the centre moves with spin r.
         reach: reach of the barrier [m].
         stiffness: stiffness of the barrier, in units of the mass of a point over the square of the
-            time step [-].
+            longest time step [-].
         friction: coefficient of friction [-].
         share: factor on the forces [-], so that points do not throw off a free body that is lighter
             than they are.
+        longest: longest allowed time step [s]. Stiffnesses refer to it, because steps are shortened
+            to end at a given time, and another stiffness would push what is at rest.
     """
 
     field: Any
@@ -76,6 +79,7 @@ class Contact(NamedTuple):
     stiffness: Any
     friction: Any
     share: Any
+    longest: Any
 
 
 # Arrays over points are indexed by component and point. Therefore the same functions work on blocks
@@ -200,10 +204,11 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
     turn(body, normal, y)
     relative_velocity(x, v, first, i, body, w)
     approach = dot(w, normal)
-    unit = body.share * m / (dt * dt)
+    unit = body.share * m / (body.longest * body.longest)
     s = max(distance / body.reach, _CLOSEST)
     f = body.stiffness * unit * body.reach * (s - 1.0) * (2.0 * np.log(s) + (s - 1.0) / s)
-    f = min(f, unit * max(_OUT * (body.reach - distance) - dt * approach, 0.0))
+    most = max(_OUT * (body.reach - distance) - dt * approach, 0.0)
+    f = min(f, body.share * m / (dt * dt) * most)
     for k in range(len(force)):
         force[k] = f * normal[k]
     if body.friction > 0.0:

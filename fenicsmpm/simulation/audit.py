@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from dolfinx import fem
 from fenicsmpm import _compat, _jit
 from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, moment, momentum
 from fenicsmpm.simulation.explicit import ExplicitMPM
+from fenicsmpm.simulation.motion import Motion
 from fenicsmpm.simulation.observer import Observer
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.solvers import EffectiveProjection
@@ -84,7 +86,7 @@ class StepAudit:
 
 
 class Audit(Observer):
-    """Balances of each step of a loop, as ``observers=[audit]``.
+    """Balances of each step of a loop, as ``observers=[audit]``. Coupled unknowns are summed up.
 
     In explicit steps, ``grid_before`` is the balance of the step's own momenta. If a loop yields
     blocks of steps, the balances of the points are those before and after the block.
@@ -102,18 +104,9 @@ class Audit(Observer):
             sim: The simulation.
         """
         self._found: dict[str, Balance] = {}
-        self._mass = PETSc.Mat()
-        if isinstance(sim, ExplicitMPM):
-            return
-        if len(sim.schemes) > 1:
-            raise ValueError("an audit needs a single unknown: it does not add up coupled ones")
-        space = sim.scheme.histories["v"].function_space
-        self._effective = EffectiveProjection(sim.bodies, space, sim.scheme.lumping)
-        points = _compat.interpolation_points(space)
-        self._nodal_velocity, self._nodal_motion = (
-            _jit.expression(value, points, space.mesh.comm)
-            for value in (sim.scheme.grid_velocity(), sim.scheme.increment)
-        )
+        self._grids: list[_Grid] = []
+        if not isinstance(sim, ExplicitMPM):
+            self._grids = [_Grid(motion) for motion in sim.motions]
 
     def begin(self, sim: Any) -> None:
         """Store the balance of the points.
@@ -129,9 +122,7 @@ class Audit(Observer):
         Args:
             sim: The simulation.
         """
-        self._mass.destroy()  # of a step that failed
-        self._mass = self._effective.mass()
-        self._found["grid_before"] = self._of_grid(sim.scheme.histories["v"], None)
+        self._found["grid_before"] = _sum([grid.before() for grid in self._grids])
 
     def solved(self, sim: Any) -> None:
         """Store the balance of the grid with the new velocities, at the nodes' new positions.
@@ -139,11 +130,7 @@ class Audit(Observer):
         Args:
             sim: The simulation.
         """
-        velocity, motion = (fem.Function(self._effective.space) for _ in range(2))
-        velocity.interpolate(self._nodal_velocity)
-        motion.interpolate(self._nodal_motion)
-        self._found["grid_after"] = self._of_grid(velocity, motion)
-        self._mass.destroy()
+        self._found["grid_after"] = _sum([grid.after() for grid in self._grids])
 
     def done(self, sim: Any, step: Step) -> None:
         """Complete the balances of the step.
@@ -164,11 +151,43 @@ class Audit(Observer):
             self._found["grid_after"] = _balance(comm, x + step.dt * v, v, m * v)
         self.last = StepAudit(**self._found, points_after=_of_points(sim))
 
-    def _of_grid(self, velocity: fem.Function, motion: fem.Function | None) -> Balance:
+
+class _Grid:
+    """Nodes and mass by which the bodies of one unknown move. Collective."""
+
+    def __init__(self, motion: Motion) -> None:
+        scheme = motion.scheme
+        self._old = scheme.histories["v"]
+        space = self._old.function_space
+        self._effective = EffectiveProjection(motion.bodies, space, scheme.lumping)
+        self._mass = PETSc.Mat()
+        points = _compat.interpolation_points(space)
+        self._velocity, self._motion = (
+            _jit.expression(value, points, space.mesh.comm)
+            for value in (scheme.grid_velocity(), scheme.increment)
+        )
+
+    def before(self) -> Balance:
+        """Return the balance with the mapped velocities."""
+        self._mass.destroy()  # of a step that failed
+        self._mass = self._effective.mass()
+        return self._balance(self._old, None)
+
+    def after(self) -> Balance:
+        """Return the balance with the new velocities, at the nodes' new positions."""
+        velocity, motion = (fem.Function(self._effective.space) for _ in range(2))
+        velocity.interpolate(self._velocity)
+        motion.interpolate(self._motion)
+        result = self._balance(velocity, motion)
+        self._mass.destroy()
+        return result
+
+    def _balance(self, velocity: fem.Function, motion: fem.Function | None) -> Balance:
         space = self._effective.space
         dim = space.mesh.geometry.dim
         n = space.dofmap.index_map.size_local
-        v = velocity.x.array.reshape(-1, dim)[:n]
+        v = velocity.x.array.reshape(-1, dim)[:n].copy()
+        v[self._effective.empty_nodes] = 0.0  # tied nodes may move where no point is
         x = space.tabulate_dof_coordinates()[:n, :dim]
         if motion is not None:
             x = x + motion.x.array.reshape(-1, dim)[:n]
@@ -179,6 +198,14 @@ class Audit(Observer):
         column.destroy()
         product.destroy()
         return _balance(space.mesh.comm, x, v, p)
+
+
+def _sum(balances: Sequence[Balance]) -> Balance:
+    return Balance(
+        np.sum([b.momentum for b in balances], axis=0),
+        sum(b.angular_momentum for b in balances),
+        sum(b.kinetic_energy for b in balances),
+    )
 
 
 def _of_points(sim: Any) -> Balance:

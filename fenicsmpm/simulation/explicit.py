@@ -100,6 +100,7 @@ class ExplicitMPM(Described):
         time: Time in s.
         number: Number of steps done.
         dt: Length of the last step in s; before the first step, its length.
+        longest_dt: Longest allowed step in s. Steps are shorter if they end at a given time.
         bodies: Material points. Call ``settle`` before you change their mass or V_0.
         carried: Points that move along.
         laws: Law at the points of each body that has one. It may be replaced by one of the same
@@ -176,7 +177,7 @@ class ExplicitMPM(Described):
         self.reaction = np.zeros(V.mesh.geometry.dim)
         self.seconds = Stopwatch()
         self._cfl, self._given_dt, self._warned = cfl, dt, False
-        self._longest_dt = self._stable = math.inf
+        self.longest_dt = self._stable = math.inf
         self._h = _smallest_height(V.mesh)
         way = OnLattice if self._is_for_kernels() else ByForms
         self.dt = dt or 1.0
@@ -382,12 +383,14 @@ class ExplicitMPM(Described):
     @property
     def memory(self) -> dict[str, float]:
         """Numbers that the next step depends on, in addition to the points, for checkpoints."""
-        return {**self._way.memory, **memory_of(self.rigid)}
+        return {**self._way.memory, **memory_of(self.rigid), **self._observers.memory}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
-        self._way.memory = dict(values)
-        remember(self.rigid, dict(values))
+        rest = dict(values)
+        self._observers.remember(rest)
+        self._way.memory = dict(rest)
+        remember(self.rigid, rest)
 
     # --- time step -----------------------------------------------------------------------------
 
@@ -413,7 +416,7 @@ class ExplicitMPM(Described):
 
     def _step_length(self) -> float:
         if self._way.is_open:
-            return self._longest_dt
+            return self.longest_dt
         if self._given_dt is None and len(self.laws) < len(self.bodies):
             raise ValueError(
                 "no law at points gives the wave speed of a body: set the time step dt"
@@ -426,7 +429,7 @@ class ExplicitMPM(Described):
             logger.warning(
                 "the time step of %g s is above the limit of stability, about %g s", dt, stable
             )
-        self._longest_dt = dt
+        self.longest_dt = dt
         return dt
 
     def raise_if(self, messages: list[str]) -> None:

@@ -364,8 +364,8 @@ class ByForms:
             for field, body in self._all_points():
                 slip = self._slip(slips[body], k)
                 forces, bad = push_points(
-                    body.x, body["v"], slip, body["mass"], rigid.contact(), sim.dt,
-                    self._pushed[k],
+                    body.x, body["v"], slip, body["mass"], rigid.contact(sim.longest_dt),
+                    sim.dt, self._pushed[k],
                 )  # fmt: skip
                 if bad >= 0:
                     messages.append(f"a point is inside of the rigid body {rigid.name}")
@@ -380,7 +380,7 @@ class ByForms:
         sim, held = self._sim, np.zeros((len(self._sim.rigid), TOTALS))
         for k, rigid in enumerate(sim.rigid):
             rigid.move(sim.time, sim.dt, self._pushed[k])
-            contact = rigid.contact()
+            contact = rigid.contact(sim.longest_dt)
             for body, fields in new.items():
                 x_next = fields["x"]
                 free = x_next.copy()

@@ -206,7 +206,7 @@ class OnLattice:
         messages = []
         with clock("P2G"):
             for k, body in enumerate(sim.rigid):
-                messages += engine.push(slip_on(k), body, dt, pushed[k])
+                messages += engine.push(slip_on(k), body, dt, sim.longest_dt, pushed[k])
             engine.sum_nodes(sim.residual.gravity)
         with clock("forces"):
             engine.relieve_light_nodes()
@@ -220,7 +220,7 @@ class OnLattice:
                 sim.velocity.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, pushed, MPI.SUM)
             for k, body in enumerate(sim.rigid):
                 body.move(sim.time, dt, pushed[k])
-                messages += engine.hold_back(slip_on(k), body, dt, held[k])
+                messages += engine.hold_back(slip_on(k), body, dt, sim.longest_dt, held[k])
             messages += engine.deform(dt)
         with clock("grid"):
             anew = self._agree(messages, reaction, held)

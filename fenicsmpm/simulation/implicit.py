@@ -43,6 +43,8 @@ from fenicsmpm.solvers.stopwatch import Stopwatch
 logger = logging.getLogger(__name__)
 
 
+# Reasons of failures that shorter steps do not mend
+_HOPELESS = ("load without material", "no support")
 # Number of Newton iterations up to which a load step counts as easy
 _EASY = 5
 
@@ -93,6 +95,7 @@ class ImplicitMPM(Described):
         schemes: All schemes, also if there is one.
         unknown: The first unknown.
         scheme: The first scheme.
+        motions: Each unknown with its scheme and the points that move by it.
         rigid: Rigid bodies in the residual.
         time: Time in s.
         number: Number of steps done.
@@ -119,12 +122,12 @@ class ImplicitMPM(Described):
     ) -> None:
         """Compile the residual, its tangent and the updates. Collective."""
         tying: Tying | None = (newton or {}).get("tying")
-        self._motions = motions_of(unknown, scheme, bodies, carried, taylor, tying)
-        self.unknowns = [motion.unknown for motion in self._motions]
-        self.schemes = [motion.scheme for motion in self._motions]
+        self.motions = motions_of(unknown, scheme, bodies, carried, taylor, tying)
+        self.unknowns = [motion.unknown for motion in self.motions]
+        self.schemes = [motion.scheme for motion in self.motions]
         self.unknown, self.scheme = self.unknowns[0], self.schemes[0]
-        self.bodies = [body for motion in self._motions for body in motion.bodies]
-        self.carried = [points for motion in self._motions for points in motion.carried]
+        self.bodies = [body for motion in self.motions for body in motion.bodies]
+        self.carried = [points for motion in self.motions for points in motion.carried]
         require_points(self.bodies)
         self.exits = Exits(on_exit)
         self.data = data
@@ -152,12 +155,12 @@ class ImplicitMPM(Described):
         moving = [*self.bodies, *self.carried]
         self._volumes = [
             PointExpression(Kinematics(motion.scheme.u, body).j, body)
-            for motion in self._motions
+            for motion in self.motions
             for body in motion.bodies
         ]
         warn_of_points_that_stay(self.newton.R, moving)
         check_updates(updates or {}, moving)
-        moved = {p: m for m in self._motions for p in [*m.bodies, *m.carried]}
+        moved = {p: m for m in self.motions for p in [*m.bodies, *m.carried]}
         renewed = renewals(R, {p: m.scheme.increment for p, m in moved.items()})
         _check_times(renewed, self.scheme)
         self._updates = {
@@ -167,7 +170,7 @@ class ImplicitMPM(Described):
             )
             for points, motion in moved.items()
         }
-        self._torn_off = [TornOff(motion.bodies, motion.carried) for motion in self._motions]
+        self._torn_off = [TornOff(motion.bodies, motion.carried) for motion in self.motions]
         self._warn_of_torn_off()
 
     # --- stages ------------------------------------------------------------------------------
@@ -175,7 +178,7 @@ class ImplicitMPM(Described):
     def map_to_grid(self) -> None:
         """Map fields to the grid: histories of the scheme by its mass, others by lumped mass."""
         fixed = _compat.fixed_dofs(self.newton.bcs)
-        for motion in self._motions:
+        for motion in self.motions:
             motion.map_to_grid(fixed)
 
     def predict(self) -> None:
@@ -185,12 +188,12 @@ class ImplicitMPM(Described):
         without motion.
         """
         x = self.unknown.U.x.array
-        for motion in self._motions:
+        for motion in self.motions:
             motion.start_from_histories()
         # schemes of one kind have as many guesses
-        guesses = zip(*(motion.scheme.predictions() for motion in self._motions), strict=True)
-        for guess in (*guesses, (0.0,) * len(self._motions)):
-            for motion, values in zip(self._motions, guess, strict=True):
+        guesses = zip(*(motion.scheme.predictions() for motion in self.motions), strict=True)
+        for guess in (*guesses, (0.0,) * len(self.motions)):
+            for motion, values in zip(self.motions, guess, strict=True):
                 x[motion.dofs] = values
             for bc in self.newton.bcs:
                 _compat.bc_set(bc, x, None, 1.0)
@@ -340,7 +343,7 @@ class ImplicitMPM(Described):
             try:
                 step = self.step(dt)
             except NewtonError as error:
-                hopeless = error.reason == "load without material" or self.number > number
+                hopeless = error.reason in _HOPELESS or self.number > number
                 if hopeless or dt / 2 < smallest * self._dt:
                     raise
                 self.next_dt, attempts = dt / 2, attempts + 1
@@ -376,7 +379,8 @@ class ImplicitMPM(Described):
     def memory(self) -> dict[str, float]:
         """Numbers that the next step depends on, in addition to the points, for checkpoints."""
         dt = {"dt": float(self.scheme.dt.value), "next_dt": self.next_dt, "longest": self._dt}
-        return {**dt, **memory_of_schemes(self._motions), **memory_of(self.rigid)}
+        parts = memory_of_schemes(self.motions), memory_of(self.rigid), self._observers.memory
+        return {**dt, **{name: value for part in parts for name, value in part.items()}}
 
     @memory.setter
     def memory(self, values: Mapping[str, float]) -> None:
@@ -384,7 +388,8 @@ class ImplicitMPM(Described):
         self._set_length(rest.pop("dt"))
         self.next_dt, self._dt = rest.pop("next_dt"), rest.pop("longest")
         remember(self.rigid, rest)
-        remember_schemes(self._motions, rest)
+        self._observers.remember(rest)
+        remember_schemes(self.motions, rest)
 
     def _warn_of_torn_off(self) -> None:
         for torn_off in self._torn_off:

@@ -186,19 +186,22 @@ class LatticeEngine:
         """Return a collective function for the forces of Dirichlet conditions in this step."""
         return self._supports.forces_at_dofs()
 
-    def push(self, slip: str, rigid: RigidBody, dt: float, total: Array) -> list[str]:
+    def push(
+        self, slip: str, rigid: RigidBody, dt: float, longest: float, total: Array
+    ) -> list[str]:
         """Add contact forces of a rigid body to the nodes, and to totals, on this rank.
 
         Args:
             slip: Name of the field of slip on it.
             rigid: The body.
             dt: Time step in s.
+            longest: Longest allowed time step in s.
             total: Totals ``(8,)``, see `fenicsmpm.transfer.contact`.
 
         Returns:
             Error messages of this rank.
         """
-        contact = rigid.contact()
+        contact = rigid.contact(longest)
         bad = [part.push(slip, contact, dt, total) for part in self.parts]
         return [f"a point is inside of the rigid body {rigid.name}"] if max(bad) >= 0 else []
 
@@ -335,13 +338,15 @@ class LatticeEngine:
                 messages.append(part.describe(bad))
         return messages
 
-    def hold_back(self, slip: str, rigid: RigidBody, dt: float, total: Array) -> list[str]:
+    def hold_back(
+        self, slip: str, rigid: RigidBody, dt: float, longest: float, total: Array
+    ) -> list[str]:
         """Keep points out of a rigid body in its new position, on this rank, see ``push``.
 
         Returns:
             Error messages of this rank.
         """
-        messages, contact = [], rigid.contact()
+        messages, contact = [], rigid.contact(longest)
         for part in self.parts:
             bad, strays = part.hold_back(slip, contact, dt, total)
             self._strays |= strays

@@ -8,12 +8,20 @@ from typing import Any, TypeAlias
 
 from fenicsmpm.simulation.step import Step
 
+_TOTAL = "total "  # begins the names of totals in the memory of a loop
+
 
 class Observer:
     """Base of objects that a time loop calls around its steps; subclasses override what they need.
 
     A function ``f(sim, step)`` is an observer, too: it is called as ``done``.
+
+    Attributes:
+        totals: Names of attributes with numbers that are summed up over the steps. They go on in a
+            restart from a checkpoint, and in a simulation that ``Rebalanced`` builds anew.
     """
+
+    totals: tuple[str, ...] = ()
 
     def start(self, sim: Any) -> None:
         """Prepare, before the first step of a loop.
@@ -87,6 +95,30 @@ class Observers:
         """Call the method of a stage by its name."""
         for observer in self._with_stages:
             getattr(observer, stage)(sim)
+
+    @property
+    def memory(self) -> dict[str, float]:
+        """Totals of all observers by names."""
+        return {name: float(getattr(*place)) for name, place in self._totals().items()}
+
+    def remember(self, values: dict[str, float]) -> None:
+        """Set totals to values of ``memory``, and remove these from the values.
+
+        What is missing, because there was no such observer, stays the same.
+        """
+        for name, (observer, attribute) in self._totals().items():
+            if name in values:
+                kind = type(getattr(observer, attribute))
+                setattr(observer, attribute, kind(values[name]))
+        for name in [name for name in values if name.startswith(_TOTAL)]:
+            del values[name]
+
+    def _totals(self) -> dict[str, tuple[Observer, str]]:
+        return {
+            f"{_TOTAL}{name} of {type(observer).__name__} {k}": (observer, name)
+            for k, observer in enumerate(self._with_stages)
+            for name in observer.totals
+        }
 
     def done(self, sim: Any, step: Step) -> None:
         """Report a finished step."""

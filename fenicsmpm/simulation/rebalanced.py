@@ -101,7 +101,7 @@ class Rebalanced:
                 f"most must be above 1, as it is relative to the mean, such as 1.5, not {most}"
             )
         self._build, self._most = build, most
-        self._wait = self._left = 0
+        self._wait = self._left = self._moves = 0
         self.mesh, self.tags = mesh, tags
         self.sim = self._built(mesh, tags)
 
@@ -120,12 +120,18 @@ class Rebalanced:
             Exception: As for the loop and for ``rebalance``.
         """
         steps: Iterator[Step] | None = None
+        moves = self._moves
         while True:
+            if self._moves != moves:  # by rebalance() since the last step
+                steps, moves = None, self._moves
+                gc.collect()
+                collect_garbage(self.mesh.comm)
             # a new mesh is useless after the last step
             plan = self._better() if self.sim.time < until else None
             if plan is not None:
                 steps = None  # it would keep the old simulation alive
                 self._go_to(plan)
+                moves = self._moves
                 del plan  # it refers to the old mesh
             if steps is None:
                 steps = self.sim.run(until, **options)
@@ -181,6 +187,7 @@ class Rebalanced:
         sim.exits = old.exits  # with the points that it holds back
         sim.exits.held = {sets[points]: ids for points, ids in sim.exits.held.items()}
         self.sim, self.mesh, self.tags = sim, mesh, tags
+        self._moves += 1
         for name, seconds in old.seconds.items():
             sim.seconds.add(name, seconds)
         # at the same moment on all ranks, since the rest of the old simulation has communicators

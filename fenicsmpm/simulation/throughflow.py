@@ -45,8 +45,8 @@ class Source(Observer):
         spacing: Spacing of points along the flow in m.
 
     Attributes:
-        mass: Mass that has come in so far in kg.
-        count: Number of points that have come in.
+        mass: Mass that has come in so far in kg; it goes on in a restart and in ``Rebalanced``.
+        count: Number of points that have come in, likewise.
 
     Raises:
         ValueError: On all ranks, for an inlet without normals or points; a velocity that is not
@@ -54,6 +54,8 @@ class Source(Observer):
             that is not positive and finite. In the loop, if points would be added to cells that
             are already full.
     """
+
+    totals = ("mass", "count")
 
     def __init__(
         self,
@@ -170,9 +172,12 @@ class Sink(Observer):
             ``(3, n)`` in m to a mask.
 
     Attributes:
-        mass: Mass that has gone out so far in kg; zero for carried points.
-        count: Number of points that have gone out.
+        mass: Mass that has gone out so far in kg, zero for carried points; it goes on in a restart
+            and in ``Rebalanced``.
+        count: Number of points that have gone out, likewise.
     """
+
+    totals = ("mass", "count")
 
     def __init__(self, body: MaterialPoints, where: Selection) -> None:
         """Create the observer; nothing has gone out yet."""

@@ -43,6 +43,8 @@ _SMALL, _FAR = 1e-9, 1e3
 # If an iteration reduces the residual by this factor or more, the next tangent keeps the terms of
 # projections. These terms hardly change any more, and cost as much as the rest of the tangent.
 _LAST_CHANGES = 1e-3
+# A step of so many cells makes the solver look for what lacks a support
+_VERY_FAR = 1e6
 # Share of the work at which a line search stops, and its largest number of residuals
 _HARDLY, _SEARCH = 0.1, 12
 
@@ -51,7 +53,8 @@ class NewtonError(RuntimeError):
     """Error for a failure of Newton's method; the unknown has its old values again.
 
     Attributes:
-        reason: "diverged", "not finite", "linear solver", "load without material" or "inverted".
+        reason: "diverged", "not finite", "linear solver", "load without material", "no support" or
+            "inverted".
         message: what happened, and what to do.
         residuals: residual norms so far.
     """
@@ -273,15 +276,9 @@ class NewtonSolver:
             if result.iterations == 0:
                 self._require_support(reference, result)
                 if self._is_new:
-                    inactive = forms.petsc.inactive_dofs(self.J, self._A)
-                    if self.tying is not None:
-                        inactive = np.union1d(inactive, self.tying.tied_dofs)
                     V = self.U.function_space
-                    require_pressure_level(A, V, self._parts, inactive)
-                    if self.linear.iterates(A):
-                        error = require_supports(A, V, dof_positions(V), inactive)
-                        if error is not None:
-                            raise NewtonError("linear solver", error, result.residuals)
+                    require_pressure_level(A, V, self._parts, self._inactive())
+                    self._require_held(A, result)
                     self._is_new = False
             try:
                 with result.seconds("linear solver"):
@@ -292,7 +289,10 @@ class NewtonSolver:
                     if self.tying is not None:
                         self.tying.extend(self._step)
             except LinearSolverError as error:
+                self._require_held(A, result)
                 raise NewtonError("linear solver", str(error), result.residuals) from error
+            if self._is_far():
+                self._require_held(A, result)
             with result.seconds("assembly"):
                 previous, (norm, length) = norm, self._advance(norm, result)
             scaled = self.linear.scaled_norm(self._b) or 0.0
@@ -328,6 +328,25 @@ class NewtonSolver:
             "ActiveCells(body, loads=[..]) to the ghost penalty or to cells.Tying",
             result.residuals,
         )
+
+    def _inactive(self) -> npt.NDArray[np.int32]:
+        """Return the local dofs without material, and those of tied nodes (collective)."""
+        inactive = forms.petsc.inactive_dofs(self.J, self._A)
+        return inactive if self.tying is None else np.union1d(inactive, self.tying.tied_dofs)
+
+    def _is_far(self) -> bool:
+        """Return whether the step moves a node by very many cells (collective)."""
+        step = np.abs(self._step.array_r)
+        cells = self._least[: len(step)]
+        here = bool(np.any((cells > 0) & (step > _VERY_FAR * cells)))
+        return self.J.mesh.comm.allreduce(here, MPI.LOR)
+
+    def _require_held(self, A: PETSc.Mat, result: NewtonResult) -> None:
+        """Raise NewtonError if a rigid motion of the body has no resistance (collective)."""
+        V = self.U.function_space
+        error = require_supports(A, V, dof_positions(V), self._inactive())
+        if error is not None:
+            raise NewtonError("no support", error, result.residuals)
 
     def _advance(self, norm: float, result: NewtonResult) -> tuple[float, float]:
         """Take the Newton step, or the part of it that the line search allows."""

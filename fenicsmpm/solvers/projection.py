@@ -97,6 +97,11 @@ class EffectiveProjection:
         bs = self.space.dofmap.index_map_bs
         return _operator(_ByComponent(A, self._blocks, bs), self.space)
 
+    @property
+    def empty_nodes(self) -> npt.NDArray[np.int64]:
+        """Owned nodes without points, at the last call of ``mass``."""
+        return np.asarray(self._blocks[self._unreached], dtype=np.int64)
+
     def project(self, functions: Mapping[str, fem.Function], fixed: npt.ArrayLike = ()) -> None:
         """Set functions to the projections of point fields (collective).
 
