@@ -144,6 +144,8 @@ def lead(text: str) -> str:
     """A text whose links lead to places of this site instead of files of the repository."""
     text = re.sub(r"\]\((?:[\w./]*/)?([1-8]_\w+)\.py", r"](/tutorial/\1.ipynb", text)
     text = re.sub(r"\]\((?:(?:\.\./)*demos/)?(\w+)\.py", r"](/gallery/\1.ipynb", text)
+    # names of demos that are no links yet
+    text = re.sub(r"(?<!\[)`demos/(\w+)\.py`", r"[`demos/\1.py`](/gallery/\1.ipynb)", text)
     for old, new in MOVED.items():
         text = re.sub(rf"\]\((?:\.\./)*{re.escape(old)}", f"](/{new}", text)
     return re.sub(r"\]\((?:\.\./)*docs/", "](/", text)

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Settings of Sphinx; ``docs/build.py`` calls it with the pages and the executed notebooks."""
 
+import re
 import typing
 
 import numpy as np
 import numpy.typing as npt
+from docutils import nodes
 
 import fenicsmpm
 
@@ -70,3 +72,38 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+
+UNIT = re.compile(r"(?<=\d) (?=(?:%|percent|[kMG]?Pa|[kmµ]?m|[mµ]?s|kg|N|J|degrees)(?!\w))")
+
+
+def keep_together(app, doctree, docname):
+    """Let no line end between a formula and its punctuation, or between a number and its unit."""
+    for text in list(doctree.findall(nodes.Text)):
+        if UNIT.search(text) and not isinstance(
+            text.parent, nodes.FixedTextElement | nodes.literal
+        ):
+            text.parent.replace(text, nodes.Text(UNIT.sub("\N{NO-BREAK SPACE}", text)))
+    for formula in list(doctree.findall(nodes.math)):
+        parent = formula.parent
+        at = parent.index(formula)
+        before, after = parent[:at], parent[at + 1 :]
+        head, tail = "", ""
+        if before and isinstance(before[-1], nodes.Text):
+            head = re.search(r"\(?$", before[-1])[0]
+        if after and isinstance(after[0], nodes.Text):
+            tail = re.match(r"[,.;:?!)]*", after[0])[0]
+        if not (head or tail):
+            continue
+        kept = nodes.inline(classes=["keep-together"])
+        kept += [nodes.Text(head), formula, nodes.Text(tail)]
+        if head:
+            before[-1] = nodes.Text(before[-1].removesuffix(head))
+        if tail:
+            after[0] = nodes.Text(after[0].removeprefix(tail))
+        parent[:] = [*before, kept, *after]
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("doctree-resolved", keep_together)
