@@ -4,7 +4,7 @@
 #
 # A column of dry sand stands at a wall. What holds it is taken away, and it collapses along a rough
 # floor. How far does it run? Experiments have a surprisingly simple answer: it depends on the shape
-# of the column, and less on what it is made of. This tour lets the sand of a Mohr-Coulomb law
+# of the column, and less on what it is made of. This demo lets the sand of a Mohr-Coulomb law
 # collapse, and measures.
 #
 # ## Problem
