@@ -74,16 +74,24 @@ html_theme_options = {
 }
 
 
-UNIT = re.compile(r"(?<=\d) (?=(?:%|percent|[kMG]?Pa|[kmµ]?m|[mµ]?s|kg|N|J|degrees)(?!\w))")
+UNIT = r" (?:%|percent|[kMG]?Pa|[kmµ]?m|[mµn]?s|kg|N|J|degrees)(?!\w)"
+TOGETHER = re.compile(rf"(\d[\d.]*e-\d+(?:{UNIT})?|\d[\d.]*{UNIT})")
+CODE = nodes.FixedTextElement, nodes.literal, nodes.math
+
+
+def kept(*parts):
+    """Return what stays on one line, by site.css."""
+    return nodes.inline("", "", *parts, classes=["keep-together"])
 
 
 def keep_together(app, doctree, docname):
-    """Let no line end between a formula and its punctuation, or between a number and its unit."""
+    """Let no line end in a number with its unit, or between a formula and its punctuation."""
     for text in list(doctree.findall(nodes.Text)):
-        if UNIT.search(text) and not isinstance(
-            text.parent, nodes.FixedTextElement | nodes.literal
-        ):
-            text.parent.replace(text, nodes.Text(UNIT.sub("\N{NO-BREAK SPACE}", text)))
+        parts = [] if isinstance(text.parent, CODE) else TOGETHER.split(text)
+        if len(parts) > 1:
+            parts = [nodes.Text(part) for part in parts]
+            parts[1::2] = [kept(part) for part in parts[1::2]]
+            text.parent.replace(text, parts)
     for formula in list(doctree.findall(nodes.math)):
         parent = formula.parent
         at = parent.index(formula)
@@ -95,13 +103,11 @@ def keep_together(app, doctree, docname):
             tail = re.match(r"[,.;:?!)]*", after[0])[0]
         if not (head or tail):
             continue
-        kept = nodes.inline(classes=["keep-together"])
-        kept += [nodes.Text(head), formula, nodes.Text(tail)]
         if head:
             before[-1] = nodes.Text(before[-1].removesuffix(head))
         if tail:
             after[0] = nodes.Text(after[0].removeprefix(tail))
-        parent[:] = [*before, kept, *after]
+        parent[:] = [*before, kept(nodes.Text(head), formula, nodes.Text(tail)), *after]
 
 
 def setup(app):
