@@ -50,7 +50,7 @@ ENDS = {who: WIDTH + factor * HEIGHT for who, factor in FACTORS.items()}  # of t
 # ## Simulation
 #
 # The floor holds the sand, the walls let it slip. The deposits of the experiments are measured
-# without loose grains that run ahead. So the front is where 99 percent of the sand are behind. It
+# without loose grains that run ahead. So the front is where 99 percent of the sand is behind. It
 # comes from a histogram, which ranks can add up.
 
 bins = np.linspace(0.0, LENGTH, 701)

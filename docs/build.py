@@ -212,7 +212,9 @@ def entry(module: ModuleType, name: str) -> str:
     """What Sphinx is told of a public name."""
     thing = getattr(module, name)
     if not callable(thing):
-        return CONSTANT.format(name=name, value=thing)
+        # of functions by name, the names: their addresses mean nothing
+        by_name = isinstance(thing, dict) and any(map(callable, thing.values()))
+        return CONSTANT.format(name=name, value=tuple(thing) if by_name else thing)
     kind = "function"
     if isinstance(thing, type):
         kind = "exception" if issubclass(thing, BaseException) else "class"
