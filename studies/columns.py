@@ -4,9 +4,8 @@
 The problems are those of demos/bending_beam.py and demos/twisting_column.py (sections 6.3 and 6.4
 of VMS). Cases 1 to 5 have the cell sizes and points per cell of table 1. "cmn" is the case of the
 slides of Moreno, Contri and Larese (CMN 2022), with Miehe's volumetric law; unlike there, it has
-subscales with inertia and tied nodes; "static-cmn" is without inertia of subscales. "smooth" and
-its variants have quadratic B-splines on cubes of 0.25 m with 8 points each, and dissipate with the
-interior penalty; "energy" conserves energy.
+subscales with inertia and tied nodes. "smooth" and its variants have quadratic B-splines on cubes
+of 0.25 m with 8 points each, and dissipate with the interior penalty; "energy" conserves energy.
 Displacements of the corner are compared with Taylor-Hood P2-P1 finite elements. A run of table 1
 takes hours. It writes its history, a series for ParaView, and a checkpoint for restarts.
 """
@@ -33,7 +32,6 @@ from column import column  # noqa: E402
 TABLE_1 = [(0.25, 12), (1 / 6, 12), (1 / 6, 24), (1 / 6, 48), (0.125, 12)]  # m, points per cell
 CASES = {str(i): {"h": h, "per_cell": n} for i, (h, n) in enumerate(TABLE_1, start=1)}
 CASES["cmn"] = {"h": 0.2, "per_cell": 16, "volumetric": "miehe", "transient": True, "tied": True}
-CASES["static-cmn"] = CASES["cmn"] | {"transient": False}
 SMOOTH = {"h": 0.25, "per_cell": 8, "functions": "quadratic", "tied": True}
 CASES["smooth"] = SMOOTH | {"stabilization": "cip"}
 CASES["smooth-cmn"] = CASES["smooth"] | {"volumetric": "miehe", "transient": True}
@@ -153,10 +151,9 @@ def main(
     stabilization: str = "asgs", scheme: str = "Bossak", h: float | None = None,
     dt: float | None = None, taylor: bool = True, restart: bool = False,
 ):  # fmt: skip
-    """Run CASES of bending_beam or twisting_column: 1 to 5, cmn, static-cmn, smooth, ...
+    """Run CASES of bending_beam or twisting_column: 1 to 5, cmn, smooth, smooth-cmn, energy.
 
-    Further cases are smooth-cmn and energy. H and DT are those of all cases, if given. TAYLOR maps
-    velocities to nodes with their gradients.
+    H and DT are those of all cases, if given. TAYLOR maps velocities to nodes with their gradients.
     """
     if name not in COLUMNS or not set(cases) <= set(CASES):
         known = f"columns are {', '.join(COLUMNS)}, cases {', '.join(CASES)}"
