@@ -3,7 +3,7 @@
 # # Consolidation of saturated soil
 #
 # Clay under load settles for years, because water leaves its pores slowly. K. Terzaghi described it
-# in 1923, for small strains. This tour solves his problem with a pore pressure as a second unknown,
+# in 1923, for small strains. This demo solves his problem with a pore pressure as a second unknown,
 # checks the settlement against his series, and goes on to a load that squeezes the layer to less
 # than three quarters of its height. There, the final settlement is known from the law.
 #

@@ -5,7 +5,7 @@
 # A tapered panel of rubber is clamped on its left edge and pulled up on its right one. It bends and
 # shears at the same time, and it cannot change its volume. Plain linear triangles lock on this
 # problem. Mixed ones that are not stabilized give a pressure that jumps from cell to cell. This
-# tour solves it with equal-order triangles and algebraic subgrid scales, in one static step. It is
+# demo solves it with equal-order triangles and algebraic subgrid scales, in one static step. It is
 # the place to start: the mesh fits the panel, and the material points do not move yet.
 #
 # The problem is the static example of section 6.2 of L. Moreno, R. Wüchner and A. Larese, *A mixed

@@ -4,7 +4,7 @@
 #
 # Most MPM codes take explicit steps, where no pressure unknown can keep the volume. Nearly
 # incompressible bodies then lock: their mean stress is a checkerboard, and their stiffness is
-# wrong. This tour cures that by averages of the volume change, the F-bar method. Local damping
+# wrong. This demo cures that by averages of the volume change, the F-bar method. Local damping
 # brings the panel of [Cook's membrane](cooks_membrane.py) to rest, and its tip is compared with
 # finite elements.
 #

@@ -11,8 +11,8 @@
 # ## Formulation
 #
 # Displacement and mean stress are both sums of B-splines, of the nodes of the same lattice of
-# squares. The momentum is that of the tour before, and the constraint has an interior penalty (E.
-# Burman and P. Hansbo, CMAME 195, 2006) instead of subgrid scales:
+# squares. The balance of momentum is that of the triangles, and the constraint has an interior
+# penalty (E. Burman and P. Hansbo, CMAME 195, 2006) instead of subgrid scales:
 #
 # $$
 # \begin{aligned}

@@ -89,7 +89,7 @@ io.say(f"at rest: pressures deviate from rho g depth by {error:.2%} of rho g H a
 
 # ## Flow
 #
-# The reference for the front are two independent trial codes of the paper's algorithm 1.
+# The references for the front are two independent trial codes of the paper's algorithm 1.
 
 water, front, sim = start(WALL, damping=0.0, water=water)
 clouds, fronts = {}, {}

@@ -71,9 +71,9 @@ boxes = [
     shapes.Box((-1.0 if k == 0 else TREADS[k - 1], -1, -1), (TREADS[k], SIZE[1] + 1, RISERS[k]))
     for k in range(len(TREADS))
 ]
-stairs = [RigidBody(box, reach=H / 4, friction=FRICTION) for box in boxes]
 stones = points.lattice(domain, H / 2, inside=lambda x: np.any([box(x) for box in boxes], axis=0))
 stones.add_field("v", (3,), np.nan)
+stairs = [RigidBody(box, reach=H / 4, friction=FRICTION) for box in boxes]
 
 # ## Time steps
 #

@@ -4,7 +4,7 @@
 #
 # A column of dry sand stands at a wall. What holds it is taken away, and it collapses along a rough
 # floor. How far does it run? Experiments have a surprisingly simple answer: it depends on the shape
-# of the column, and less on what it is made of. This tour lets the sand of a Mohr-Coulomb law
+# of the column, and less on what it is made of. This demo lets the sand of a Mohr-Coulomb law
 # collapse, and measures.
 #
 # ## Problem
@@ -50,7 +50,7 @@ ENDS = {who: WIDTH + factor * HEIGHT for who, factor in FACTORS.items()}  # of t
 # ## Simulation
 #
 # The floor holds the sand, the walls let it slip. The deposits of the experiments are measured
-# without loose grains that run ahead. So the front is where 99 percent of the sand are behind. It
+# without loose grains that run ahead. So the front is where 99 percent of the sand is behind. It
 # comes from a histogram, which ranks can add up.
 
 bins = np.linspace(0.0, LENGTH, 701)

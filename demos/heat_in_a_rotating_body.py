@@ -47,10 +47,10 @@ FLIP = 1.0  # 1: points take the change of T; 0: its value, and the mode decays 
 
 domain = mesh.create_rectangle(MPI.COMM_WORLD, [(-2, -2), (2, 2)], [CELLS, CELLS])
 body = points.lattice(domain, 4 / CELLS / PER_CELL, inside=lambda x: np.all(np.abs(x) < 1, axis=0))
-formulations.set_initial_state(body, DENSITY)
 mode = np.sin(pi / 2 * body.x[:, 0])
 body.add_field("mode", (), mode)
 body.add_field("T", (), 1 + mode)
+formulations.set_initial_state(body, DENSITY)
 
 # ## Weak form
 #

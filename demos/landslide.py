@@ -5,7 +5,7 @@
 # A slope of sensitive clay stands under its weight. Then its strength is reduced, as by water, and
 # it fails. Once sheared, this clay keeps only a sixteenth of its strength, so a slice slides down,
 # runs out, and leaves a scarp. A chart of 1937 tells when the slope must fail, and where the slice
-# must begin. This tour meets both.
+# must begin. This demo meets both.
 #
 # The problem is a plane section of the landslide in section 4.4 of Y. Zhao, C. Jiang and J. Choo,
 # *Circumventing volumetric locking in explicit material point methods: A simple, efficient, and
@@ -84,7 +84,8 @@ sim = ExplicitMPM(R, z, body, cfl=0.35, damping=0.5, observers=[history])
 # ## Reduction of the strength
 #
 # First the weight comes on, then the strength is reduced a little. With damping, the slope comes to
-# rest in both stages. `sim.laws` may be replaced between steps.
+# rest in both stages. `sim.laws` may be replaced between steps. Each softening law warns that it
+# has no length scale.
 
 for reduction, seconds in STAGES.items():
     sim.laws[body] = clay(reduction)

@@ -3,7 +3,7 @@
 # # Convergence to a manufactured solution
 #
 # How fast do stabilized equal-order elements converge in large deformation? And what does it cost
-# that material points do not stay where a quadrature rule would put them? This tour prescribes a
+# that material points do not stay where a quadrature rule would put them? This demo prescribes a
 # motion and a pressure, lets UFL derive the body force that they need, and measures errors on finer
 # and finer meshes. Any formulation of yours can be verified like that, in a page.
 #

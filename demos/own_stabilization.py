@@ -3,7 +3,7 @@
 # # Your own stabilization
 #
 # A stabilization is a function that returns a few lines of UFL. Its exact tangent follows by
-# `ufl.derivative`, so a new idea takes minutes to try, not weeks. This tour writes three classical
+# `ufl.derivative`, so a new idea takes minutes to try, not weeks. This demo writes three classical
 # ones and compares them with the ASGS of the package on [Cook's membrane](cooks_membrane.py).
 #
 # ## Three stabilizations

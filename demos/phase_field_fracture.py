@@ -4,7 +4,7 @@
 #
 # A crack needs no special mesh here, no criterion of growth and no code in the package. It is a
 # second field of the unknown, which is 0 where the body is sound and 1 in the crack, and a few
-# lines of UFL. The tour checks it against two exact results: the softening of a short bar, and the
+# lines of UFL. The demo checks it against two exact results: the softening of a short bar, and the
 # load at which a long crack runs.
 #
 # ## Problem

@@ -4,7 +4,7 @@
 #
 # A rigid strip is pressed into soft clay, which yields without change of volume. L. Prandtl found
 # in 1920 what the ground can bear: $2 + \pi$ times its shear strength. A method that locks finds no
-# such limit, and the ground bears ever more. This tour presses the strip with averaged volumes and
+# such limit, and the ground bears ever more. This demo presses the strip with averaged volumes and
 # without, and compares both loads with Prandtl's.
 #
 # The problem is section 4.2 of Y. Zhao, C. Jiang and J. Choo, *Circumventing volumetric locking in

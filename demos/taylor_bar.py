@@ -67,8 +67,8 @@ domain = mesh.create_box(
 spacing = np.array([WIDTH / ACROSS, LENGTH / ALONG, WIDTH / ACROSS]) / PER_SIDE
 bar = points.lattice(domain, spacing, inside=lambda x: np.hypot(x[0], x[2]) < RADIUS)
 basis.use(bar, "gimp", spacing / 2)
-formulations.set_initial_state(bar, DENSITY, velocity=(0.0, -SPEED, 0.0))
 bar.add_field("r", (), np.hypot(bar.x[:, 0], bar.x[:, 2]))
+formulations.set_initial_state(bar, DENSITY, velocity=(0.0, -SPEED, 0.0))
 
 # ## Time steps
 #

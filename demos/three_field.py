@@ -82,13 +82,13 @@ z = formulations.Unknown(fem.Function(W), "u", *grid_only)
 z.fix("u", lambda x: np.isclose(x[0], 0))
 theta = body.field("theta")
 theta.renew(theta + z.theta)
+scheme = formulations.Midpoint(z, dt=DT)
 
 # ## Weak form
 #
 # The equations from above, line by line. `body.dx` is over volumes at the beginning of the step,
 # hence the divisions by $J_n$.
 
-scheme = formulations.Midpoint(z, dt=DT)
 k, middle = formulations.Kinematics(z.u, body), formulations.Kinematics(z.u / 2, body)
 weight = fem.Constant(domain, (0.0, -GRAVITY))
 R = formulations.stress_power(MU * middle.F, z.test.u, body) + scheme.inertia(body)

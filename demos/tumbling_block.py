@@ -4,7 +4,7 @@
 #
 # A rubber block is thrown. It flies, turns and wobbles, and nothing acts on it. So its volume, its
 # energy and its angular momentum must stay what they are. An incompressible solid makes that hard,
-# because its pressure is an unknown, and so is what stabilizes the pressure. This tour lets a
+# because its pressure is an unknown, and so is what stabilizes the pressure. This demo lets a
 # conserving step and generalized-alpha fly side by side. It also shows the price of conservation.
 #
 # ## Formulation
@@ -116,7 +116,7 @@ for method in METHODS:
 
 io.picture("output/tumbling_block.png", clouds, "p", "mean stress p [Pa]", cut=1)
 
-# The energy of generalized-alpha decays, although nothing takes it.
+# The energy of generalized-alpha changes by two percent, although nothing does work on the block.
 
 io.plot("output/tumbling_block_energy.png", totals, "t [s]", "energy [J]")
 

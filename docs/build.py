@@ -144,6 +144,8 @@ def lead(text: str) -> str:
     """A text whose links lead to places of this site instead of files of the repository."""
     text = re.sub(r"\]\((?:[\w./]*/)?([1-8]_\w+)\.py", r"](/tutorial/\1.ipynb", text)
     text = re.sub(r"\]\((?:(?:\.\./)*demos/)?(\w+)\.py", r"](/gallery/\1.ipynb", text)
+    # names of demos that are no links yet
+    text = re.sub(r"(?<!\[)`demos/(\w+)\.py`", r"[`demos/\1.py`](/gallery/\1.ipynb)", text)
     for old, new in MOVED.items():
         text = re.sub(rf"\]\((?:\.\./)*{re.escape(old)}", f"](/{new}", text)
     return re.sub(r"\]\((?:\.\./)*docs/", "](/", text)
@@ -210,7 +212,9 @@ def entry(module: ModuleType, name: str) -> str:
     """What Sphinx is told of a public name."""
     thing = getattr(module, name)
     if not callable(thing):
-        return CONSTANT.format(name=name, value=thing)
+        # of functions by name, the names: their addresses mean nothing
+        by_name = isinstance(thing, dict) and any(map(callable, thing.values()))
+        return CONSTANT.format(name=name, value=tuple(thing) if by_name else thing)
     kind = "function"
     if isinstance(thing, type):
         kind = "exception" if issubclass(thing, BaseException) else "class"

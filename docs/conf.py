@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Settings of Sphinx; ``docs/build.py`` calls it with the pages and the executed notebooks."""
 
+import re
 import typing
 
 import numpy as np
 import numpy.typing as npt
+from docutils import nodes
 
 import fenicsmpm
 
@@ -70,3 +72,44 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+
+UNIT = r" (?:%|percent|[kMG]?Pa|[kmµ]?m|[mµn]?s|kg|N|J|degrees)(?!\w)"
+TOGETHER = re.compile(rf"(\d[\d.]*e-\d+(?:{UNIT})?|\d[\d.]*{UNIT})")
+CODE = nodes.FixedTextElement, nodes.literal, nodes.math
+
+
+def kept(*parts):
+    """Return what stays on one line, by site.css."""
+    return nodes.inline("", "", *parts, classes=["keep-together"])
+
+
+def keep_together(app, doctree, docname):
+    """Let no line end in a number with its unit, or between a formula and its punctuation."""
+    for text in list(doctree.findall(nodes.Text)):
+        parts = [] if isinstance(text.parent, CODE) else TOGETHER.split(text)
+        if len(parts) > 1:
+            parts = [nodes.Text(part) for part in parts]
+            parts[1::2] = [kept(part) for part in parts[1::2]]
+            text.parent.replace(text, parts)
+    for formula in list(doctree.findall(nodes.math)):
+        parent = formula.parent
+        at = parent.index(formula)
+        before, after = parent[:at], parent[at + 1 :]
+        head, tail = "", ""
+        if before and isinstance(before[-1], nodes.Text):
+            head = re.search(r"\(?$", before[-1])[0]
+        if after and isinstance(after[0], nodes.Text):
+            tail = re.match(r"[,.;:?!)]*", after[0])[0]
+        if not (head or tail):
+            continue
+        if head:
+            before[-1] = nodes.Text(before[-1].removesuffix(head))
+        if tail:
+            after[0] = nodes.Text(after[0].removeprefix(tail))
+        parent[:] = [*before, kept(nodes.Text(head), formula, nodes.Text(tail)), *after]
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("doctree-resolved", keep_together)

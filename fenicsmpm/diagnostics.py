@@ -50,7 +50,7 @@ def angular_momentum(body: MaterialPoints) -> float | npt.NDArray[np.float64]:
         body: Material points with the fields "mass" and "v".
 
     Returns:
-        Angular momentum in kg m^2/s: a number in 2D (per unit thickness), shape (3,) in 3D.
+        A number in kg m^2/s in 2D (per unit thickness), shape (3,) in 3D.
     """
     return body.mesh.comm.allreduce(moment(body.x, body["mass"][:, None] * body["v"]))
 
@@ -136,7 +136,7 @@ def torque(z: Unknown, form: ufl.Form) -> float | npt.NDArray[np.float64]:
         form: Terms of its residual, UFL of rank 1.
 
     Returns:
-        Moment in N m: a number in 2D (per unit thickness), shape (3,) in 3D.
+        A number in N m in 2D (per unit thickness), shape (3,) in 3D.
     """
     f = _nodal_forces(z, form)
     name = "v" if "v" in z else "u"

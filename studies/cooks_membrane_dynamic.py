@@ -3,12 +3,15 @@
 
 The problem is that of demos/cooks_membrane_dynamic.py. VMS compares stabilizations (6a), numbers of
 points per cell (6c) and cell sizes (6d). The slides of Moreno, Contri and Larese (CMN 2022) have
-Miehe's volumetric law and short steps; unlike there, "cmn" has subscales with inertia and tied
-nodes. The other figures show smooth functions on squares: cells and points (smooth), stabilizations
-and functions (kinds), corrected weights (weights), time schemes (times), the case of CMN
-(smooth-cmn), and linear functions for comparison (triangles). Turning points are compared with
-Taylor-Hood P2-P1 finite elements; their heights are relative to the first peak. The missing energy
-is relative to the largest work of the load.
+Miehe's volumetric law and short steps. Unlike there, "cmn" has subscales with inertia and tied
+nodes; "cmn-cut" shows what happens without either. "cut" compares remedies for cells with little
+material, with corrected weights and without.
+
+The other figures show smooth functions on squares: cells and points (smooth), stabilizations and
+functions (kinds), corrected weights (weights), time schemes (times), the case of CMN (smooth-cmn),
+and linear functions for comparison (triangles). Turning points are compared with Taylor-Hood P2-P1
+finite elements; their heights are relative to the first peak. The missing energy is relative to the
+largest work of the load.
 """
 
 from pathlib import Path
@@ -28,18 +31,33 @@ from fenicsmpm.solvers import NewtonError
 REFERENCE = Path(__file__).parents[1] / "benchmarks" / "references" / "cook_dynamic.csv"
 CMN = {"dt": 0.0025, "volumetric": "miehe", "transient": True, "tied": True, "per_cell": 16}
 SMOOTH = {"functions": "quadratic", "stabilization": "cip", "tied": True, "h": 0.2, "per_cell": 9}
+NONE = {"stabilization": "none"}
 KINDS = [{"stabilization": s} for s in ("cip", "hessian", "split_osgs")]
 TRIANGLES = {"h": 0.2, "per_cell": 24, "tied": True}
 SCHEMES = "Bossak", "GeneralizedAlpha", "Newmark", "BDF2"
-LABELS = "functions", "stabilization", "h", "per_cell", "scheme", "corrected"
+LABELS = (
+    "functions", "stabilization", "h", "per_cell", "scheme", "tied", "corrected", "lumped",
+    "ghost_mass", "transient",
+)  # fmt: skip
+PLAIN = {"tied": False, "corrected": False}
 FIGURES = {
     "6a": [{"stabilization": name} for name in ("none", "ppp", "asgs", "osgs")],
     "6c": [{"per_cell": n} for n in (6, 12, 33)],
     "6d": [{"h": h} for h in (0.2, 0.1, 0.05)],
     "schemes": [{"scheme": s} for s in SCHEMES],
     "cmn": [CMN | {"h": h} for h in (0.6, 0.3, 0.15, 0.075, 0.0375)],
+    "cmn-cut": [
+        *(CMN | {"h": 0.3, "transient": False, "scheme": s} for s in SCHEMES[:3]),
+        *(CMN | {"h": 0.075, "tied": False, "ghost_mass": on} for on in (False, True)),
+        CMN | {"h": 0.075},
+    ],
+    "cut": [
+        *({"h": 0.2} | c for c in (PLAIN, PLAIN | {"tied": True}, {"tied": True})),
+        *({"h": 0.1} | PLAIN | c for c in ({}, {"scheme": SCHEMES[1]}, {"lumped": True})),
+        *({"h": 0.1, "tied": False, "stabilization": name} for name in ("asgs", "osgs")),
+    ],
     "smooth": [SMOOTH | c for c in ({"per_cell": 4}, {}, {"h": 0.1}, {"h": 0.1, **KINDS[1]})],
-    "kinds": [SMOOTH | c for c in (*KINDS, {"functions": "gimp"}, {"functions": "cubic"})],
+    "kinds": [SMOOTH | c for c in (*KINDS, {"functions": "gimp"}, {"functions": "cubic"}, NONE)],
     "weights": [SMOOTH | {"corrected": c} for c in (True, False)],
     "triangles": [
         *(TRIANGLES | {"stabilization": s} for s in ("asgs", "cip")),
@@ -60,7 +78,8 @@ def panel(x):
 
 def build(
     stabilization="asgs", h=0.1, per_cell=33, scheme="Bossak", dt=0.025, volumetric="quadratic",
-    transient=False, tied=False, corrected=True, functions="linear",
+    transient=False, tied=False, corrected=True, functions="linear", lumped=False,
+    ghost_mass=False,
 ):  # fmt: skip
     """Return the loop, carrying loaded edge and tip, and the energy of stabilization [J]."""
     nx, ny = (int(np.ceil(length / h - 1e-9)) for length in (6, 10))
@@ -87,12 +106,17 @@ def build(
     if conserves := isinstance(scheme, formulations.Midpoint):
         stress = formulations.MixedEnergyMomentum(law, body, z)
         R, stored = stress.power() + scheme.inertia(body), stress.volumetric_energy
+    elif lumped:
+        R = formulations.mixed(z, body, law) + scheme.lumped(body)
+        R += formulations.asgs(z, body, law, force=scheme.force(body))
     else:
         inertia = {"force": scheme.force(body), "scheme": scheme if transient else None}
         R = formulations.stabilized(stabilization, z, body, law, cells=cells, **inertia)
     R += formulations.dead_load(z.test.u, edge, (0.0, 6.25))  # Pa
     if not tied:
         R += formulations.ghost_penalty(z, cells, law)
+    if ghost_mass:
+        R += formulations.ghost_mass(cells, scheme, 1.0)
     sim = ImplicitMPM(
         R, z, scheme, body, carried=[edge, tip],
         observers=[] if conserves or not corrected else [lambda *_: correct_weights(body, cells)],
@@ -122,11 +146,18 @@ def run(until, label, movie=None, **case):
     return t, y, lack / work.max()
 
 
+def named(key, value):
+    """Return what a table says of an option."""
+    if isinstance(value, bool):
+        return key if value else f"not {key}"
+    return value if isinstance(value, str) else f"{key} {value}"
+
+
 def main(
     figures: list[str] = ["6a", "6c", "6d"], until: float = 7.0, scheme: str = "Bossak",
     h: float = 0.1, tied: bool = False, corrected: bool = True, movie: bool = False,
 ):  # fmt: skip
-    """Repeat FIGURES: 6a, 6c, 6d, schemes, cmn, smooth, kinds, weights, times, triangles, ...
+    """Repeat FIGURES: 6a, 6c, 6d, schemes, cut, cmn, cmn-cut, smooth, smooth-cmn, kinds, ...
 
     The options apply to cases that do not set them.
     """
@@ -136,20 +167,18 @@ def main(
     expected, shown = turning_points(t, y), t <= until
     common = {"scheme": scheme, "h": h, "tied": tied, "corrected": corrected}
     for figure in figures:
-        columns = {"case".ljust(48): "s", "u_y [m]": ".4f", "off by": "+.1%", "t [s]": ".3f"}
+        columns = {"case".ljust(56): "s", "u_y [m]": ".4f", "off by": "+.1%", "t [s]": ".3f"}
         table, curves = io.Table({**columns, "off by ": "+.1%", "energy": "+.1%"}), {}
         for case in FIGURES[figure]:
-            said = (key for key in LABELS if key in case)
-            named = (case[k] if isinstance(case[k], str) else f"{k} {case[k]}" for k in said)
-            label = ", ".join(named)
+            label = ", ".join(named(key, case[key]) for key in LABELS if key in case)
             gif = f"output/cooks_membrane_{label.replace(' ', '_')}.gif" if movie else None
             times, values, lack = run(until, label, gif, **common | case)
             curves[label] = times, values
             turns = zip(turning_points(times, values), expected, strict=False)
             for (time, value), (t_ref, y_ref) in turns:
                 share, then = (value - y_ref) / expected[0][1], np.interp(time, times, lack)
-                table.row(label.ljust(48), value, share, time, time / t_ref - 1, then)
-            table.row(label.ljust(48), values[-1], None, times[-1], None, lack[-1])
+                table.row(label.ljust(56), value, share, time, time / t_ref - 1, then)
+            table.row(label.ljust(56), values[-1], None, times[-1], None, lack[-1])
         reference = {"P2-P1 finite elements": (t[shown], y[shown])}
         labels = "t [s]", "vertical displacement of the tip [m]"
         io.plot(f"output/cooks_membrane_{figure}.png", curves, *labels, reference=reference)

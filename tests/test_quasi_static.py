@@ -2,6 +2,8 @@
 """Load steps without inertia: a column under its weight, a cantilever, reactions, step lengths."""
 
 import math
+import sys
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -11,64 +13,14 @@ import ufl
 from dolfinx import fem, mesh
 from scipy.integrate import solve_bvp
 
-from fenicsmpm import ImplicitMPM, MaterialPoints, basis, points
+from fenicsmpm import ImplicitMPM, MaterialPoints, points
 from fenicsmpm import formulations as fm
-from fenicsmpm.cells import ActiveCells, BalancedWeights, correct_weights
-from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import Hencky
-from fenicsmpm.simulation import Reaction
 from fenicsmpm.solvers import NewtonError
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
 
-def see(body, functions, half_size):
-    if functions != "linear":
-        basis.use(body, functions, *([half_size] if functions.endswith("gimp") else []))
-
-
-class Column:
-    """A column of soft material under its own weight: L = 50 m, E = 10 kPa, nu = 0."""
-
-    L, E, density, g = 50.0, 1e4, 80.0, 9.81
-
-    def __init__(self, functions, h=1.0, weights="as they are", steps=40, **newton):
-        n = round(self.L / h)
-        domain = mesh.create_rectangle(
-            MPI.COMM_WORLD, [(0, 0), (h, self.L)], [1, n], mesh.CellType.quadrilateral
-        )
-        self.body = body = points.fill(domain, 2)
-        see(body, functions, h / 4)
-        fm.set_initial_state(body, self.density)
-        z = fm.Unknown(domain, "u")
-        self.floor = Reaction(z.fix("u", lambda x: np.isclose(x[1], 0), component=1))
-        z.fix("u", lambda x: np.isclose(x[0], 0) | np.isclose(x[0], h), component=0)
-        scheme = fm.QuasiStatic(z, dt=1 / steps)
-        self.law = Hencky(self.E, 0.0)
-        P = fm.Response(self.law, body, fm.Kinematics(z.u, body).F).P
-        weight = fem.Constant(domain, np.zeros(2))
-
-        def load(start, end):
-            weight.value = (0, -self.g * end)
-
-        R = fm.stress_power(P, z.test.u, body)
-        R -= ufl.inner(scheme.force(body, weight), z.test.u) * body.dx
-        observers = [self.floor]
-        cells = ActiveCells(body)
-        if weights == "corrected":
-            observers.append(lambda sim, step: correct_weights(body, cells))
-        elif weights == "balanced":
-            observers.append(BalancedWeights(body, cells))
-        self.sim = ImplicitMPM(R, z, scheme, body, data=load, observers=observers, newton=newton)
-
-    def error(self):
-        """Mean deviation of the vertical stress from -rho g (L - Y), by the largest stress."""
-        body = self.body
-        F = body.field("F")
-        sigma = evaluate(fm.Response(self.law, body, F).P * F.T / ufl.det(F), body)[:, 1, 1]
-        Y = body.x[:, 1] - body["u"][:, 1]
-        exact = -self.density * self.g * (self.L - Y)
-        comm, V = body.mesh.comm, body["V_0"]
-        total = comm.allreduce(float(V @ np.abs(sigma - exact)))
-        return total / comm.allreduce(float(V.sum())) / (self.density * self.g * self.L)
+from moved_points import Column, see
 
 
 @pytest.mark.mpi

@@ -41,6 +41,7 @@ _ONE_COLOUR, _LINES = "tab:blue", "silver"
 _DOT, _SMALL_DOT = 1.1, 0.5
 _PIXELS = 1200  # larger side of a rendered panel; drawn on half as many, which smooths edges
 _INCHES = 3.75  # larger side of a panel on paper
+_TICK = 0.7  # inches of an axis for each number, so that they do not touch
 
 
 @dataclass
@@ -186,6 +187,7 @@ def _draw(
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     shapes = [_shape(panel) for panel in panels]
     colours = [None if panel.field is None else panel.values() for panel in panels]
@@ -227,6 +229,7 @@ def _draw(
         if extent is None:
             ax.set_axis_off()
         else:
+            ax.xaxis.set_major_locator(MaxNLocator(max(1, int(width * inches / _TICK))))
             ax.set_xlabel("x [m]")
             ax.set_ylabel("y [m]")
             ax.label_outer()

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -63,7 +65,7 @@ def _free_motions(
     reach = comm.allreduce(float(np.abs(x - centre).max(initial=0.0)), MPI.MAX) or 1.0
     mode, product = A.createVecs()
 
-    def times(values: list[Array]) -> Array:
+    def times(values: Sequence[Array]) -> Array:
         mode.set(0.0)
         for rows, numbers in zip(dofs, values, strict=True):
             mode.array_w[rows] = numbers
