@@ -18,11 +18,7 @@ from fenicsmpm.io.fingerprint import mesh_fingerprint
 from fenicsmpm.materials import Hencky, NeoHookean, NewtonianFluid
 from fenicsmpm.points import fill, lattice, on_curve
 from fenicsmpm.points.geometry import cell_geometry
-<<<<<<< HEAD
-from fenicsmpm.simulation import Observer, Rebalanced, imbalance
-=======
-from fenicsmpm.simulation import Rebalanced, Sink, Source, imbalance
->>>>>>> 9d73a8924809e93d1a6538bb7748a4762f476411
+from fenicsmpm.simulation import Observer, Rebalanced, Sink, Source, imbalance
 from fenicsmpm.simulation.redistribution import Redistribution, cells_on, tags_on
 
 pytestmark = pytest.mark.ranks
