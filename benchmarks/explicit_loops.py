@@ -24,7 +24,7 @@ BLOCKS = 5000
 def loops(dim):
     """Compile both loops over blocks of points with the first nodes ``bases (n, 8)``."""
     places = window(dim, WIDTH).places
-    interpolate = fused_to_points.to_points(dim, WIDTH, False).interpolate
+    interpolate = fused_to_points.to_points(dim, WIDTH, False, False, False).interpolate
     add = fused_to_nodes.to_nodes(dim, WIDTH).add
 
     @numba.njit(**OPTIONS)

@@ -20,6 +20,7 @@ from fenicsmpm.lanes.rows import (
     ROW,
     SHORT_VECTOR,
     VECTOR,
+    shuffle,
 )
 
 
@@ -125,18 +126,13 @@ _EVEN, _ODD = (0, 8, 2, 10, 4, 12, 6, 14), (1, 9, 3, 11, 5, 13, 7, 15)
 _FIRST, _LAST = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
 
 
-def _shuffle(builder, a, b, places):
-    mask = ir.Constant(ir.VectorType(INT32, len(places)), [ir.Constant(INT32, i) for i in places])
-    return builder.shuffle_vector(a, b, mask)
-
-
 def _transpose(builder, rows):
     """Transpose the 4 x 4 matrices of the first and of the last halves of four rows."""
     a, b, c, d = rows
-    even, odd = _shuffle(builder, a, b, _EVEN), _shuffle(builder, a, b, _ODD)
-    even_2, odd_2 = _shuffle(builder, c, d, _EVEN), _shuffle(builder, c, d, _ODD)
+    even, odd = shuffle(builder, a, b, _EVEN), shuffle(builder, a, b, _ODD)
+    even_2, odd_2 = shuffle(builder, c, d, _EVEN), shuffle(builder, c, d, _ODD)
     pairs = (even, even_2), (odd, odd_2)
-    return [_shuffle(builder, *pair, places) for places in (_FIRST, _LAST) for pair in pairs]
+    return [shuffle(builder, *pair, places) for places in (_FIRST, _LAST) for pair in pairs]
 
 
 def _line_addresses(context, builder, array_type, array, first):
@@ -152,7 +148,7 @@ def load_columns(_typing, lines, first):
     def generate(context, builder, signature, arguments):
         addresses = _line_addresses(context, builder, signature.args[0], *arguments)
         loaded = [builder.load(address, align=8) for address in addresses]
-        halves = [_shuffle(builder, loaded[i], loaded[i + 4], range(8)) for i in range(4)]
+        halves = [shuffle(builder, loaded[i], loaded[i + 4], range(8)) for i in range(4)]
         columns = _transpose(builder, halves)
         return context.make_tuple(builder, signature.return_type, columns)
 
@@ -169,7 +165,7 @@ def store_columns(_typing, lines, first, a, b, c, d):
         halves = _transpose(builder, columns)
         for places in (range(4), range(4, 8)):
             for half in halves:
-                line = _shuffle(builder, half, half, places)
+                line = shuffle(builder, half, half, places)
                 builder.store(line, next(addresses), align=8)
         return context.get_dummy_value()
 

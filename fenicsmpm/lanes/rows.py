@@ -15,12 +15,26 @@ from __future__ import annotations
 import math
 import operator
 
-from llvmlite import ir
-from numba import types
+from llvmlite import binding, ir
+from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 LANES, LINE_LANES = 8, 4
+
+
+def _has_wide_registers():
+    """Return whether a register holds a row, and the processor works on all of it at once."""
+    name = config.CPU_NAME or binding.get_host_cpu_name()
+    if config.CPU_FEATURES is not None:
+        features = config.CPU_FEATURES.split(",")
+    else:
+        features = binding.get_host_cpu_features().flatten().split(",")
+    return "+avx512f" in features and name != "znver4"  # works on one half after the other
+
+
+# Whether nodal values are added row by row, instead of line by line
+WIDE = _has_wide_registers()
 
 DOUBLE, INT64, INT32 = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 VECTOR, INTEGERS = ir.VectorType(DOUBLE, LANES), ir.VectorType(INT64, LANES)
@@ -179,13 +193,50 @@ def add_scaled(_typing, total, factor, vector):
 
 @intrinsic
 def scaled(_typing, factor, line):
-    """Return factor * line."""
+    """Return factor * line, or factor * row."""
+
+    def generate(_context, builder, signature, arguments):
+        kind = VECTOR if signature.return_type is ROW else SHORT_VECTOR
+        factor, line = arguments
+        return builder.fmul(splat(builder, factor, kind), line, flags=_FUSE)
+
+    return line(types.float64, line), generate
+
+
+def shuffle(builder, a, b, places):
+    """Return the numbers at some places of two LLVM vectors, one after the other."""
+    mask = ir.Constant(ir.VectorType(INT32, len(places)), [ir.Constant(INT32, i) for i in places])
+    return builder.shuffle_vector(a, b, mask)
+
+
+@intrinsic
+def join(_typing, low, high):
+    """Return the row of two lines."""
 
     def generate(_context, builder, _signature, arguments):
-        factor, line = arguments
-        return builder.fmul(splat(builder, factor, SHORT_VECTOR), line, flags=_FUSE)
+        return shuffle(builder, *arguments, range(LANES))
 
-    return LINE(types.float64, LINE), generate
+    return ROW(low, high), generate
+
+
+@intrinsic
+def low_half(_typing, row):
+    """Return the line of the first four numbers of a row."""
+
+    def generate(_context, builder, _signature, arguments):
+        return shuffle(builder, *arguments, *arguments, range(LINE_LANES))
+
+    return LINE(row), generate
+
+
+@intrinsic
+def high_half(_typing, row):
+    """Return the line of the last four numbers of a row."""
+
+    def generate(_context, builder, _signature, arguments):
+        return shuffle(builder, *arguments, *arguments, range(LINE_LANES, LANES))
+
+    return LINE(row), generate
 
 
 @intrinsic

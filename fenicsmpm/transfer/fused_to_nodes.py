@@ -18,7 +18,9 @@ from fenicsmpm.basis.windows import window
 from fenicsmpm.lanes import (
     LANES,
     LINE_LANES,
+    WIDE,
     add_scaled,
+    join,
     line_of,
     load,
     load_line,
@@ -27,6 +29,7 @@ from fenicsmpm.lanes import (
     store,
     store_columns,
     store_line,
+    zero_line,
     zeros,
 )
 
@@ -77,7 +80,28 @@ def to_nodes(dim: int, width: int) -> ToNodes:
         low = load_line(lines, _LOW + i)
         high = line_of(number_at(lines, _VOLUMES * LINE_LANES + i), 0.0, 0.0, 0.0)
         by_x, by_y = load_line(lines, _X + i), load_line(lines, _Y + i)
-        return low, high, by_x, by_y, load_line(lines, _Z + i)
+        by_z = load_line(lines, _Z + i)
+        if WIDE:
+            none = zero_line()
+            by_x, by_y, by_z = join(none, by_x), join(none, by_y), join(none, by_z)
+            return none, join(low, high), by_x, by_y, by_z
+        return low, high, by_x, by_y, by_z
+
+    @inline
+    def get(rows, node):
+        """Return the halves of a row of the grid. Of wide registers, ``high`` holds all of it."""
+        if WIDE:
+            return zero_line(), load(rows, node)
+        return load_line(rows, 2 * node), load_line(rows, 2 * node + 1)
+
+    @inline
+    def put(rows, node, low, high):
+        """Overwrite a row of the grid with its halves."""
+        if WIDE:
+            store(rows, node, high)
+        else:
+            store_line(rows, 2 * node, low)
+            store_line(rows, 2 * node + 1, high)
 
     @inline
     def at_first(given, i, a, w, d):
@@ -108,13 +132,11 @@ def to_nodes(dim: int, width: int) -> ToNodes:
         @inline
         def along_last(first, i, one, j, two, w, d, rows):
             for c in range(width):
-                line = 2 * (first + c)
-                low, high = load_line(rows, line), load_line(rows, line + 1)
+                low, high = get(rows, first + c)
                 low, high = times_last(low, high, one, i, c, w, d)
                 if points == 2:
                     low, high = times_last(low, high, two, j, c, w, d)
-                store_line(rows, line, low)
-                store_line(rows, line + 1, high)
+                put(rows, first + c, low, high)
 
         @inline
         def add_points(i, j, base, w, d, lines, rows):

@@ -21,13 +21,16 @@ from fenicsmpm.basis.windows import ON_WALL, window
 from fenicsmpm.lanes import (
     LANES,
     LINE_LANES,
+    WIDE,
     add_scaled,
     between,
     choose,
+    high_half,
     line_at,
     load,
     load_columns,
     load_line,
+    low_half,
     number_at,
     store,
     store_columns,
@@ -103,20 +106,28 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
                 total += 0.5 * shear * shear
         return math.sqrt(total)
 
+    # in 2D, lines of four hold all that points need
+    wide = WIDE and dim == 3
+    none = zeros if wide else zero_line
+
+    @inline
+    def get(rows, node):
+        """Return the halves of a row. In 2D and of wide registers, ``low`` holds all of it."""
+        if wide:
+            return load(rows, node), zero_line()
+        if dim == 2:
+            return load_line(rows, node), zero_line()
+        return load_line(rows, 2 * node), load_line(rows, 2 * node + 1)
+
     @inline
     def along_last(first, i, w, d, rows):
-        """Interpolate both halves of the rows, and slopes of the first, along one line of nodes.
-
-        In 2D there is one half.
-        """
-        low, high, slope = zero_line(), zero_line(), zero_line()
+        """Interpolate the halves of the rows, and slopes of ``low``, along one line of nodes."""
+        low, high, slope = none(), zero_line(), none()
         for c in range(width):
             w_c, d_c = number_at(w, (last + c) * LANES + i), number_at(d, (last + c) * LANES + i)
-            line = (dim - 1) * (first + c)
-            nodal = load_line(rows, line)
+            nodal, rest = get(rows, first + c)
             low, slope = add_scaled(low, w_c, nodal), add_scaled(slope, d_c, nodal)
-            if dim == 3:
-                high = add_scaled(high, w_c, load_line(rows, line + 1))
+            high = add_scaled(high, w_c, rest)
         return low, high, slope
 
     @inline
@@ -124,8 +135,8 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
         """Interpolate also slopes in the second direction, in a plane of nodes in 3D."""
         if dim == 2:
             low, high, by_y = along_last(first, i, w, d, rows)
-            return low, high, by_y, zero_line()
-        low, high, by_y, by_z = zero_line(), zero_line(), zero_line(), zero_line()
+            return low, high, by_y, none()
+        low, high, by_y, by_z = none(), zero_line(), none(), none()
         for b in range(width):
             w_b, d_b = number_at(w, (width + b) * LANES + i), number_at(d, (width + b) * LANES + i)
             low_b, high_b, z_b = along_last(first + b * near, i, w, d, rows)
@@ -137,14 +148,17 @@ def to_points(dim: int, width: int, rates: bool, has_F33: bool, has_J_0: bool) -
     def interpolate(base, w, d, rows, lines):
         """Interpolate all nodal values, and slopes of velocities, to the points of a block."""
         for i in range(LANES):
-            low, high, start = zero_line(), zero_line(), base[i]
-            by_x, by_y, by_z = zero_line(), zero_line(), zero_line()
+            low, high, start = none(), zero_line(), base[i]
+            by_x, by_y, by_z = none(), none(), none()
             for a in range(width):
                 w_a, d_a = number_at(w, a * LANES + i), number_at(d, a * LANES + i)
                 low_a, high_a, y_a, z_a = along_second(start + a * far, i, w, d, rows)
                 low, by_x = add_scaled(low, w_a, low_a), add_scaled(by_x, d_a, low_a)
                 high, by_y = add_scaled(high, w_a, high_a), add_scaled(by_y, w_a, y_a)
                 by_z = add_scaled(by_z, w_a, z_a)
+            if wide:
+                high, low = high_half(low), low_half(low)
+                by_x, by_y, by_z = low_half(by_x), low_half(by_y), low_half(by_z)
             store_line(lines, _LOW + i, low)
             store_line(lines, _X + i, by_x)
             store_line(lines, _Y + i, by_y)
