@@ -285,3 +285,19 @@ def test_exponentials():
     assert result[0] == pytest.approx(np.exp(x[0]), rel=3e-16)
     assert result[1] == pytest.approx([exprel(v) for v in x[0]], rel=3e-16)
     assert exprel(0.0) == 1 and exprel(2.0) == pytest.approx(math.expm1(2.0) / 2, rel=1e-15)
+
+
+@njit
+def _halves(lines, rows):
+    low, high = lanes.load_line(lines, 1), lanes.load_line(lines, 0)
+    row = lanes.scaled(2.0, lanes.join(low, high))
+    lanes.store(rows, 0, row)
+    lanes.store_line(lines, 0, lanes.low_half(row))
+    lanes.store_line(lines, 1, lanes.high_half(row))
+
+
+def test_a_row_consists_of_two_lines():
+    lines, rows = np.arange(8.0).reshape(2, 4), np.empty((1, 8))
+    _halves(lines, rows)
+    assert rows[0].tolist() == [8, 10, 12, 14, 0, 2, 4, 6]
+    assert lines.tolist() == [[8, 10, 12, 14], [0, 2, 4, 6]]
