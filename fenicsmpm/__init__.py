@@ -23,7 +23,7 @@ from fenicsmpm import (
     transfer,
     verification,
 )
-from fenicsmpm._memory import return_large_arrays
+from fenicsmpm._memory import return_freed_memory
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.rigid import RigidBody
 from fenicsmpm.simulation import ExplicitMPM, ImplicitMPM, UnstableError
@@ -56,4 +56,4 @@ __all__ = [
 if MPI.COMM_WORLD.size > 1 and "NUMBA_NUM_THREADS" not in os.environ:
     numba.set_num_threads(1)
 
-return_large_arrays()
+return_freed_memory()

@@ -10,20 +10,22 @@ from typing import Any
 
 import numpy.typing as npt
 
-_M_MMAP_THRESHOLD, _M_MMAP_MAX = -3, -4
+# Options of glibc by their numbers: M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD, M_MMAP_MAX. The
+# thresholds are as high as glibc itself raises them in a program that frees such arrays.
+_OPTIONS = {-1: 2**24, -2: 2**17, -3: 2**23, -4: 65536}
 _MADV_DONTNEED = 4
 
 
-def return_large_arrays() -> None:
-    """Let glibc return arrays of 32 MB or more to the system when they are freed, as by default.
+def return_freed_memory() -> None:
+    """Let glibc return arrays of 8 MB or more to the system when they are freed, as by default.
 
     SuperLU_DIST, which Debian's PETSc loads, switches this off. Arrays over many points come and
     go, and would leave holes in the heap.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, 2**25)
-        mallopt(_M_MMAP_MAX, 65536)
+        for option, value in _OPTIONS.items():
+            mallopt(option, value)
 
 
 def release_zeros(array: npt.NDArray[Any]) -> None:

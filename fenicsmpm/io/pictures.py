@@ -42,6 +42,7 @@ _DOT, _SMALL_DOT = 1.1, 0.5
 _PIXELS = 1200  # larger side of a rendered panel; drawn on half as many, which smooths edges
 _INCHES = 3.75  # larger side of a panel on paper
 _TICK = 0.7  # inches of an axis for each number, so that they do not touch
+_LETTER = 0.1  # inches of a title for each letter
 
 
 @dataclass
@@ -218,7 +219,9 @@ def _draw(
     if width > 2 * height:
         columns = 1  # flat panels below each other
     rows = -(-len(panels) // columns)
-    size = (columns * (width * inches + 0.15) + 1.2, rows * (height * inches + 0.4) + 0.5)
+    letters = max(len(line) for panel in panels for line in panel.title.split("\n"))
+    across = max(width * inches, _LETTER * letters)  # titles may be wider than their panels
+    size = (columns * (across + 0.15) + 1.2, rows * (height * inches + 0.4) + 0.5)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=plane, sharey=plane).ravel()
     for ax in axes[len(panels) :]:
