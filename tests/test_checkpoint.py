@@ -101,7 +101,7 @@ def assert_close(one, other):
 )
 def test_goes_on_bit_by_bit(scheme, stabilization, directory):
     if stabilization == "osgs" and comm.size > 2:
-        pytest.skip("on three ranks MUMPS sums up larger fronts in the order in which parts arrive")
+        pytest.skip("on three ranks MUMPS sums up in the order in which parts arrive")
     path = directory / "new" / "three.h5"
     sim = advance(cantilever(scheme, stabilization))
     sim.bodies[0].remove(sim.bodies[0].id == 7)
