@@ -87,11 +87,11 @@ def restore(path: str | Path, sim: Simulation) -> None:
     On the same number of ranks with the same distribution of cells, the simulation continues bit by
     bit as without the interruption. This requires a linear solver that is itself reproducible, and
     for explicit steps the same number of threads. MUMPS is reproducible on one and two ranks; on
-    more, OSGS may change its last bits from run to run. Otherwise the points go to the ranks that own
-    their cells, and results agree to round-off, or to the tolerance of Newton's method if linear
-    systems are solved iteratively. Grid functions are not part of the state: the unknown has its
-    values again after the next step. Choices of the script that differ from the saved run, such as
-    a parameter of a law, are logged as a warning, since they may be intended.
+    more, OSGS may change its last bits from run to run. Otherwise the points go to the ranks that
+    own their cells, and results agree to round-off, or to the tolerance of Newton's method if
+    linear systems are solved iteratively. Grid functions are not part of the state: the unknown has
+    its values again after the next step. Choices of the script that differ from the saved run, such
+    as a parameter of a law, are logged as a warning, since they may be intended.
 
     Args:
         path: File that ``save`` wrote.
