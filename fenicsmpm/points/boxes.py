@@ -36,7 +36,7 @@ class Boxes(NamedTuple):
         axis: Lattice direction of each reference axis, shape (turns, d), int64.
         down: Whether the reference axis points downwards, shape (turns, d), bool.
         x: dolfinx' nodes in m, shape (n, 3).
-        vertices: dolfinx' nodes of each cell, shape (cells, 2**d).
+        vertices: dolfinx' nodes of each cell, the first one in the first column, int32.
     """
 
     origin: npt.NDArray[np.float64]
@@ -177,7 +177,9 @@ def find_boxes(
     turn = turn if len(turn) else np.zeros(1, dtype=np.uint8)
     digits = codes[:, None] // 6 ** np.arange(dim) % 6
     axis, down = digits // 2, digits % 2 == 1
-    return Boxes(origin, spacing, shape, low, box, cell, turn, axis, down, x, nodes), off
+    # from 0.10 on, dolfinx gives a copy of its table
+    vertices = nodes if nodes.base is not None else nodes[:, :1].copy()
+    return Boxes(origin, spacing, shape, low, box, cell, turn, axis, down, x, vertices), off
 
 
 @njit
