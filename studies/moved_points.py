@@ -95,8 +95,8 @@ def column(h: list[float] = [1.0, 0.5, 0.25], steps: int = 40):
         table.row(title.ljust(25), *errors)
 
 
-def stretched(functions, corrected, steps, n=16, per_side=6):
-    """Return the force, by the exact one [-], and stretch of an incompressible block, pulled."""
+def stretched(functions, corrected, steps, n=16, per_side=6, method=fm.Bossak):
+    """Return force (by the exact one), stretch and largest |J - 1| of an incompressible block."""
     E, end = 3.0, 2.0  # Pa, s
     kind = mesh.CellType.triangle if functions == "linear" else mesh.CellType.quadrilateral
     corners, partitioner = [(0, 0), (3, 1.25)], basis.shared_vertex_partitioner
@@ -112,7 +112,7 @@ def stretched(functions, corrected, steps, n=16, per_side=6):
     z, law, pull = fm.Unknown(domain, "u", "p"), NeoHookean(E, 0.5), fem.Constant(domain, 0.0)
     for axis in (0, 1):
         z.fix("u", lambda x, a=axis: np.isclose(x[a], 0), component=axis)
-    scheme, stiffness = fm.Bossak(z, dt=end / steps), 30 * E * n
+    scheme, stiffness = method(z, dt=end / steps), 30 * E * n
     cells, name = ActiveCells(body, loads=[edge]), "asgs" if functions == "linear" else "cip"
     R = fm.stabilized(name, z, body, law, force=scheme.force(body), cells=cells)
     R += stiffness * (edge.field("u")[0] + z.u[0] - pull) * z.test.u[0] * edge.dx
@@ -131,7 +131,8 @@ def stretched(functions, corrected, steps, n=16, per_side=6):
     force = total(float(stiffness * np.sum((0.4 - edge["u"][:, 0]) * edge.weight)))
     mean = total(float(body["F"][:, 0, 0].sum())) / body.size_global
     # plane strain: mu (1.2^2 - 1.2^-2), over the thinner end
-    return force / (E / 3 * (1.2**2 - 1.2**-2) / 1.2), mean
+    change = float(np.abs(body["J"] - 1).max(initial=0.0))
+    return force / (E / 3 * (1.2**2 - 1.2**-2) / 1.2), mean, change
 
 
 @app.command()
@@ -141,7 +142,7 @@ def block(steps: list[int] = [20, 40, 80], n: int = 16):
                       "stretch": ".4f"})  # fmt: skip
     kinds = [("linear", False), ("linear", True), ("quadratic", False), ("quadratic", True)]
     for (functions, corrected), number in product(kinds, steps):
-        force, stretch = stretched(functions, corrected, number, n)
+        force, stretch, _ = stretched(functions, corrected, number, n)
         title = f"{functions}, corrected weights" if corrected else functions
         table.row(title.ljust(25), number, force - 1, stretch)
 

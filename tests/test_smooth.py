@@ -2,6 +2,8 @@
 """Pressures by stabilizations that suit smooth functions, and what else splines and uGIMP need."""
 
 import itertools
+import sys
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -22,6 +24,10 @@ from fenicsmpm.materials import NeoHookean
 from fenicsmpm.solvers import NewtonError, NewtonSolver
 from fenicsmpm.solvers.projected_tangent import ProjectedTangent
 from fenicsmpm.transfer import p2g
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
+
+import moved_points
 
 QUADRILATERAL = mesh.CellType.quadrilateral
 SMOOTH = "cip", "hessian", "split_osgs"
@@ -703,37 +709,7 @@ def test_a_load_at_the_edge_needs_one_of_the_remedies(functions, end):
 
 
 def stretched(steps, per_side, corrected):
-    """Force of an incompressible block that is pulled to 1.2, by the exact one [-]; and F_xx."""
-    n, E, end = 8, 3.0, 1.0
-    domain = rectangle((3, 1.25), (3 * n, 5 * n // 4))
-    body = points.fill(domain, per_side, inside=lambda x: (x[0] < 2) & (x[1] < 1))
-    fm.set_initial_state(body, 1e-3)
-    edge = points.on_curve(domain, (2, 0), (2, 1), spacing=0.25 / n)
-    edge.add_field("u", (2,))
-    for p in (body, edge):
-        basis.use(p, "quadratic")
-    z, law, pull = Unknown(domain, "u", "p"), NeoHookean(E, 0.5), fem.Constant(domain, 0.0)
-    for axis in (0, 1):
-        z.fix("u", lambda x, a=axis: np.isclose(x[a], 0), component=axis)
-    scheme, stiffness = QuasiStatic(z, dt=end / steps), 30 * E * n
-    cells = ActiveCells(body, loads=[edge])
-    R = fm.stabilized("cip", z, body, law, cells=cells)
-    R += stiffness * (edge.field("u")[0] + z.u[0] - pull) * z.test.u[0] * edge.dx
-
-    def data(start, end_of_step):
-        pull.value = 0.4 * end_of_step / end
-
-    sim = ImplicitMPM(
-        R, z, scheme, body, carried=[edge], data=data,
-        observers=[lambda sim, step: correct_weights(body, cells)] if corrected else [],
-        newton={"tying": Tying(z.space, body, cells)},
-    )  # fmt: skip
-    for _ in sim.run(end):
-        pass
-    force = COMM.allreduce(stiffness * np.sum((0.4 - edge["u"][:, 0]) * edge.weight))
-    mean = COMM.allreduce(body["F"][:, 0, 0].sum()) / body.size_global
-    # plane strain: mu (1.2^2 - 1.2^-2), over the thinner end
-    return force / (E / 3 * (1.2**2 - 1.2**-2) / 1.2), mean, np.abs(body["J"] - 1).max(initial=0.0)
+    return moved_points.stretched("quadratic", corrected, steps, 8, per_side, QuasiStatic)
 
 
 @pytest.mark.mpi
