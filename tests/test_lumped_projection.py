@@ -100,7 +100,8 @@ def test_the_tangent_is_that_of_the_residual(dim, tied):
     at = z.U.x.array.copy()
     newton._residual_norm()
     A = newton._tangent()
-    operator, matrix = newton._projected.operator(A), newton._projected.matrix(A)
+    projected = newton._projected
+    operator, matrix = projected.operator(A, preconditions=True), projected.matrix(A)
     x, by_products, by_matrix = (newton._b.duplicate() for _ in range(3))
     start, end = x.getOwnershipRange()
     x.array_w[:] = np.sin(np.arange(start, end) ** 2.0)
@@ -112,6 +113,28 @@ def test_the_tangent_is_that_of_the_residual(dim, tied):
     matrix.mult(x, by_matrix)
     by_matrix.axpy(-1.0, by_products)
     assert by_matrix.norm() < 1e-13 * by_products.norm()
+
+    scaling, scaled = x.duplicate(), projected.operator(A, preconditions=False)
+    scaling.array_w[:] = 1 + np.cos(np.arange(start, end)) ** 2
+    scaled.diagonalScale(scaling, scaling)
+    by_scaling, by_hand = x.duplicate(), x.duplicate()
+    scaled.mult(x, by_scaling)
+    by_matrix.pointwiseMult(x, scaling)
+    matrix.mult(by_matrix, by_hand)
+    by_hand.pointwiseMult(by_hand, scaling)
+    by_hand.axpy(-1.0, by_scaling)
+    assert by_hand.norm() < 1e-13 * by_scaling.norm()
+
+    # the preconditioner has the pressure's own entries of the whole, and those of A elsewhere
+    P, pressures = projected.preconditioner(A), np.zeros(len(x.array_r), dtype=bool)
+    pressures[[dof for dof in z.dofs("p") if dof < len(pressures)]] = True
+    only_p, by_P, by_A = (x.duplicate() for _ in range(3))
+    only_p.array_w[:] = np.where(pressures, x.array_r, 0)
+    P.mult(only_p, by_P)
+    A.mult(only_p, by_A)
+    matrix.mult(only_p, by_matrix)
+    expected = np.where(pressures, by_matrix.array_r, by_A.array_r)
+    assert by_P.array_r == pytest.approx(expected, rel=1e-12, abs=1e-12 * by_P.norm())
 
     direction = fem.Function(z.space)
     direction.x.array[: len(x.array_r)] = x.array_r

@@ -215,7 +215,7 @@ class PointIntegral:
     def _sums_first(self) -> bool:
         """Whether sums over a cell come before the contraction with linear functions."""
         arguments = self.lowered.arguments
-        values = [source.layout.value_slots(source.used) for source in arguments if source.layout]
+        values = [source.value_slots for source in arguments]
         sites = self._integration_sites
         # only useful if a group has several sites
         return all(v is not None for v in values) and len(sites.rows) > len(sites.groups)
@@ -239,7 +239,7 @@ class PointIntegral:
         sums_first = self._sums_first
         values: list[Any] = []
         if sums_first:
-            values = [s.layout.value_slots(s.used) for s in arguments if s.layout is not None]
+            values = [source.value_slots for source in arguments]
             pairs = zip(tables, values, strict=True)
             slots = [a for t, v in pairs for a in linear_loops.with_moments(t, v, x.shape[1])]
         for groups, batch in sites.batches(numbers):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import basix.ufl
@@ -89,6 +90,21 @@ class Source:
     layout: Layout | None
     size: int
     used: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    @cached_property
+    def has_averages(self) -> bool:
+        """Whether slots of averages over a group are used. Ask after lowering only."""
+        return self.layout is not None and bool(np.any(self.used >= self.layout.n_slots // 2))
+
+    @cached_property
+    def value_slots(self) -> npt.NDArray[np.int64] | None:
+        """Positions of values within the used slots of linear functions. Ask after lowering only.
+
+        None if the functions are not linear, or if there are averages among the slots.
+        """
+        if self.layout is None or not self.layout.is_linear or self.has_averages:
+            return None
+        return np.flatnonzero(self.used % self.layout.n_rows == 0)
 
 
 @dataclass

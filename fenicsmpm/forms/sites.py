@@ -71,7 +71,10 @@ class Sites:
 
     def _in_group_order(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the rows of the sites, without a copy if points are stored in group order."""
-        return values if self._is_sorted else values[self.order]
+        if self._is_sorted:
+            return values
+        # numpy has the faster loop for lines in "take", for numbers in brackets
+        return values[self.order] if values.ndim == 1 else values.take(self.order, axis=0)
 
     @property
     def weights(self) -> npt.NDArray[np.float64]:
@@ -92,8 +95,7 @@ class Sites:
             source: argument or function.
         """
         assert source.layout is not None
-        has_average = np.any(source.used >= source.layout.n_slots // 2)
-        tables = self._averages if has_average else self._tables
+        tables = self._averages if source.has_averages else self._tables
         if id(source) not in tables:
             tables[id(source)] = slot_table(source.layout, source.used, self.stencil, self._average)
         return tables[id(source)]
@@ -202,7 +204,7 @@ class Sites:
             self.rows,
         )
         slots = (table.basis, table.column, table.length, table.start)
-        values = source.layout.value_slots(source.used)
+        values = source.value_slots
         if values is None:
             loops.gather_function(function, *where, *slots, result, first)
         else:

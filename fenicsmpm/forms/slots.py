@@ -112,18 +112,6 @@ class Layout:
         elements = [leaf.element for leaf in self.leaves]
         return all(e.degree <= 1 and e.cell_type.name in SIMPLICES for e in elements)
 
-    def value_slots(self, used: npt.NDArray[np.int64]) -> npt.NDArray[np.int64] | None:
-        """Return the positions of value slots within the used slots of linear functions.
-
-        The result is None if the functions are not linear, or if there are averages among the
-        slots.
-
-        Args:
-            used: numbers of the used slots ``(n,)``.
-        """
-        average = bool(np.any(used >= self.n_slots // 2))
-        return np.flatnonzero(used % self.n_rows == 0) if self.is_linear and not average else None
-
     @property
     def n_slots(self) -> int:
         """Number of slots, including those of averages."""

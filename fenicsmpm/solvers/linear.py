@@ -19,15 +19,15 @@ logger = logging.getLogger(__name__)
 
 # Percentage by which the workspace of MUMPS exceeds its estimate, since pivoting needs more
 _WORKSPACE = "mat_mumps_icntl_14"
+_ORDERING = "mat_mumps_icntl_7"
 DIRECT = {
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
     _WORKSPACE: 100,
     # Each step has a new sparsity pattern. AMD orders it in almost no time, whereas Scotch and
-    # METIS take longer than the few factorizations that follow. AMF is a little faster than AMD,
-    # but runs on 3 ranks are not reproducible.
-    "mat_mumps_icntl_7": 0,
+    # METIS take longer than the few factorizations that follow.
+    _ORDERING: 0,
 }
 # Preconditioning from the right gives true residuals. Diagonal scaling makes the residuals of all
 # parts comparable.
@@ -41,10 +41,6 @@ KRYLOV = {
     "pc_type": "bjacobi",
     "sub_pc_type": "ilu",
 }
-# For a matrix plus terms that are known by their products only. The factors of the matrix by MUMPS
-# are the preconditioner.
-WITH_FACTORS = {**KRYLOV, **DIRECT, "ksp_type": "gmres", "ksp_max_it": 100}
-del WITH_FACTORS["sub_pc_type"]
 # Number of unknowns with material above which factorizations in 3D cost more than iterations. In
 # 2D this happens only with millions of unknowns.
 _MANY = 15_000
@@ -56,8 +52,17 @@ _numbers = itertools.count()
 class Products(Protocol):
     """Interface of matrix terms that are known by their products with vectors."""
 
-    def operator(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A plus the terms as an operator that follows a scaling of A (collective).
+    def operator(self, A: PETSc.Mat, preconditions: bool) -> PETSc.Mat:
+        """Return A plus the terms as an operator that can be scaled (collective).
+
+        Args:
+            A: assembled matrix.
+            preconditions: whether A is also the matrix of the preconditioner. Then PETSc scales A
+                by itself.
+        """
+
+    def preconditioner(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Return A plus those terms that a preconditioner needs, as a new matrix (collective).
 
         Args:
             A: assembled matrix.
@@ -83,8 +88,8 @@ class LinearSolver:
     - Large systems in three dimensions are solved by GMRES with at most 300 iterations. The
       preconditioner is ILU(0) of the part of each rank, extended by an overlap of one layer.
     - Systems with terms that are given by their products are always solved by GMRES. If such a
-      system is not large, the preconditioner is the factorization of the matrix by MUMPS, with at
-      most 100 iterations.
+      system is not large, MUMPS factorizes the matrix and the part of these terms that couples
+      scalars. With these factors as preconditioner, GMRES has at most 100 iterations.
 
     If GMRES fails, MUMPS solves the whole system.
 
@@ -122,7 +127,7 @@ class LinearSolver:
         """Create the solver and set its options (collective)."""
         collect_garbage(comm)  # frees earlier solvers, or MPI would run out of communicators
         given = petsc_options or {}
-        options = DIRECT | given if given.get("pc_type", "lu") == "lu" else given
+        options = _direct(comm) | given if given.get("pc_type", "lu") == "lu" else given
         self._comm, self._given = comm, list(given)
         self.ksp, self._options = _create(comm, options, prefix)
         self._gmres: dict[str, _Gmres] = {}
@@ -264,8 +269,8 @@ class LinearSolver:
         self._scale = A.getDiagonal()
         diagonal = np.abs(self._scale.array_r)
         self._scale.array_w[:] = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        operator = A if products is None else products.operator(A)
-        reason, self.iterations = self._gmres[kind].solve(operator, A, b, x, rtol)
+        operator = A if products is None else products.operator(A, preconditions=is_large)
+        reason, self.iterations = self._gmres[kind].solve(operator, A, b, x, rtol, products)
         if products is not None:
             operator.destroy()
         self.method = f"GMRES + {kind}"
@@ -311,27 +316,38 @@ class LinearSolver:
 
 
 class _Gmres:
-    """GMRES with incomplete factors of a matrix, or with its factorization by MUMPS.
+    """GMRES with incomplete factors of a matrix, or with a factorization by MUMPS.
 
     Factors are reused as long as the values of the matrix stay the same. Factors of MUMPS are also
     reused for new values, as long as the additional iterations cost less than a new factorization.
     """
 
     def __init__(self, comm: Any, is_large: bool) -> None:
-        options = WITH_FACTORS
-        if is_large:
+        options = dict(KRYLOV)
+        if not is_large:
+            # few, as factors that need more are out of date
+            options |= _direct(comm) | {"ksp_type": "gmres", "ksp_max_it": 100}
+            del options["sub_pc_type"]
+        elif comm.size > 1:
             # An overlap of one layer reduces the number of iterations to two thirds.
-            options = KRYLOV | ({"pc_type": "asm"} if comm.size > 1 else {})
+            options["pc_type"] = "asm"
         self._ksp, _ = _create(comm, options, None)
         self._keeps = not is_large
         self._matrix: PETSc.Mat | None = None
+        self._factorized: PETSc.Mat | None = None
         self._state, self._are_of_these_values = -1, False
         # Iterations per digit with new and with the last factors, and the number of iterations
         # that cost as much as new factors
         self._fresh, self._last, self._worth = 0.0, 0.0, 0.0
 
     def solve(
-        self, operator: PETSc.Mat, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, rtol: float
+        self,
+        operator: PETSc.Mat,
+        A: PETSc.Mat,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        rtol: float,
+        products: Products | None,
     ) -> tuple[int, int]:
         """Solve a system; return the reason of PETSc and the number of iterations (collective)."""
         ksp = self._ksp
@@ -345,14 +361,21 @@ class _Gmres:
         reuses = is_same or (self._keeps and not is_new and more <= self._worth)
         ksp.setTolerances(rtol=rtol)
         while True:
+            if not self._keeps:
+                self._factorized = A
+            elif not reuses:
+                assert products is not None  # systems without them have other factors
+                if self._factorized is not None:
+                    self._factorized.destroy()
+                self._factorized = products.preconditioner(A)
             ksp.getPC().setReusePreconditioner(reuses)
-            ksp.setOperators(operator, A)
+            ksp.setOperators(operator, self._factorized)
             ksp.solve(b, x)
             reason, iterations = ksp.getConvergedReason(), ksp.getIterationNumber()
             if reason > 0 or not reuses or is_same:
                 break
             reuses = False
-        ksp.setOperators(A)  # the caller may now destroy the operator
+        ksp.setOperators(self._factorized)  # the caller may now destroy the operator
         self._are_of_these_values = is_same or not reuses
         self._state = A.stateGet()  # scaling and unscaling have changed it
         self._last = iterations / -np.log10(rtol)
@@ -361,6 +384,12 @@ class _Gmres:
             if self._keeps and reason > 0:
                 self._worth = _iterations_for_factors(ksp.getPC().getFactorMatrix())
         return reason, iterations
+
+
+def _direct(comm: Any) -> dict[str, Any]:
+    """Return the options of MUMPS."""
+    # AMF makes smaller factors than AMD, but runs on several ranks would not be reproducible.
+    return DIRECT | ({_ORDERING: 2} if comm.size == 1 else {})
 
 
 def _iterations_for_factors(F: PETSc.Mat) -> float:
@@ -385,7 +414,7 @@ def _create(
     for key, value in options.items():
         if not database.hasName(key):
             database[key] = value
-        if DIRECT.get(key) == value or KRYLOV.get(key) == value:
+        if _direct(comm).get(key) == value or KRYLOV.get(key) == value:
             database.getString(key, "")  # marks it as used, so PETSc does not list it at the end
     ksp = PETSc.KSP().create(lasting(comm))
     ksp.setOptionsPrefix(prefix)

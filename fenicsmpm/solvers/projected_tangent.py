@@ -17,6 +17,7 @@ from dolfinx import fem
 from fenicsmpm import _compat, forms
 from fenicsmpm._garbage import lasting
 from fenicsmpm.formulations.lumped_projection import LumpedProjection
+from fenicsmpm.solvers.places import parts_of
 
 if TYPE_CHECKING:
     from fenicsmpm.cells import Tying
@@ -46,6 +47,7 @@ class ProjectedTangent:
                 self._all.append(_Factors(c, *(forms.form(form) for form in pair)))
         self._mask: PETSc.Vec | None = None
         self._whole: PETSc.Mat | None = None
+        self._scalars: PETSc.Mat | None = None
 
     def __bool__(self) -> bool:
         """Return whether there is any such projection."""
@@ -148,12 +150,31 @@ class ProjectedTangent:
         Args:
             A: the rest of the tangent.
         """
+        if self._whole is None:
+            self._whole = self._added(A, None)
+        return self._whole
+
+    def preconditioner(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Return A plus the entries of B D^-1 C that couple scalar parts, as a new matrix.
+
+        Without these entries, A stabilizes the pressure by several times too much. With the factors
+        of the result, GMRES needs 17 iterations instead of 41 for three systems of Cook's membrane
+        in the plane. These factors have 1.5 times as many entries as those of A, and those of the
+        whole sum 2.5 times as many. Collective.
+
+        Args:
+            A: the rest of the tangent.
+        """
+        if self._scalars is None:
+            self._scalars = _selection(self._U, A)
+        return self._added(A, self._scalars)
+
+    def _added(self, A: PETSc.Mat, selection: PETSc.Mat | None) -> PETSc.Mat:
+        """Return A + S B D^-1 C S as a new matrix; no selection S means all."""
         assert self._mask is not None
-        if self._whole is not None:
-            return self._whole
-        result = self._all[0].product()
+        result = self._all[0].product(selection)
         for factors in self._all[1:]:
-            more = factors.product()
+            more = factors.product(selection)
             result.axpy(1.0, more)
             more.destroy()
         if self._tying is not None:
@@ -162,17 +183,18 @@ class ProjectedTangent:
             untied.destroy()
         result.diagonalScale(self._mask, self._mask)
         result.axpy(1.0, A)
-        self._whole = result
         return result
 
-    def operator(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A + B D^-1 C as a matrix-free operator that follows a scaling of A (collective).
+    def operator(self, A: PETSc.Mat, preconditions: bool) -> PETSc.Mat:
+        """Return A + B D^-1 C as a matrix-free operator that can be scaled (collective).
 
         Args:
             A: the rest of the tangent.
+            preconditions: whether A is also the matrix of the preconditioner. Then PETSc scales A
+                by itself.
         """
         return PETSc.Mat().createPython(
-            A.getSizes(), _Sum(A, self), lasting(self._U.x.index_map.comm)
+            A.getSizes(), _Sum(A, self, preconditions), lasting(self._U.x.index_map.comm)
         )
 
 
@@ -204,12 +226,36 @@ class _Factors:
         self._sums.pointwiseMult(self._sums, self._D)
         self.B.multAdd(self._sums, y, y)
 
-    def product(self) -> PETSc.Mat:
-        scaled = self.C.copy()
-        scaled.diagonalScale(self._D)
-        result = self.B.matMult(scaled)
-        scaled.destroy()
+    def product(self, selection: PETSc.Mat | None) -> PETSc.Mat:
+        """Return B D^-1 C, or its part S B D^-1 C S by a selection S."""
+        B, C = self.B, self.C.copy()
+        C.diagonalScale(self._D)
+        if selection is not None:
+            whole = C
+            B, C = selection.matMult(B), whole.matMult(selection)
+            whole.destroy()
+        result = B.matMult(C)
+        C.destroy()
+        if selection is not None:
+            B.destroy()
         return result
+
+
+def _selection(U: fem.Function, like: PETSc.Mat) -> PETSc.Mat:
+    """Return the matrix that keeps the dofs of scalar parts of U (collective)."""
+    V = U.function_space
+    spaces = [V.sub(i) for i in range(V.num_sub_spaces)] or [V]
+    scalars = [part for part, s in zip(parts_of(V), spaces, strict=True) if s.num_sub_spaces == 0]
+    (owned, size), _ = like.getSizes()
+    begin, _ = like.getOwnershipRange()
+    rows = np.zeros(owned + 1, dtype=PETSc.IntType)
+    kept = np.concatenate([[], *scalars]).astype(PETSc.IntType)
+    kept = np.sort(kept[kept < owned])
+    rows[kept + 1] = 1
+    values = np.ones(len(kept))
+    csr = np.cumsum(rows, dtype=PETSc.IntType), kept + begin, values
+    sizes = (owned, size), (owned, size)
+    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=lasting(V.mesh.comm))
 
 
 class _Product:
@@ -223,19 +269,24 @@ class _Product:
 
 
 class _Sum:
-    """Operator A + B D^-1 C for PETSc; GMRES itself scales rows and columns of A."""
+    """Operator A + B D^-1 C for PETSc, whose rows and columns GMRES scales.
 
-    def __init__(self, A: PETSc.Mat, projected: ProjectedTangent) -> None:
-        self._A, self._projected = A, projected
+    If A is the matrix of the preconditioner, PETSc scales A itself.
+    """
+
+    def __init__(self, A: PETSc.Mat, projected: ProjectedTangent, A_is_scaled: bool) -> None:
+        self._A, self._projected, self._A_is_scaled = A, projected, A_is_scaled
         self._scale, self._scaled, self._more = (A.createVecLeft() for _ in range(3))
         self._scale.set(1.0)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        self._A.mult(x, y)
         self._scaled.pointwiseMult(x, self._scale)
         self._projected.mult(self._scaled, self._more)
-        self._more.pointwiseMult(self._more, self._scale)
-        y.axpy(1.0, self._more)
+        if not self._A_is_scaled:
+            self._A.multAdd(self._scaled, self._more, self._more)
+        y.pointwiseMult(self._more, self._scale)
+        if self._A_is_scaled:
+            self._A.multAdd(x, y, y)
 
     def diagonalScale(self, mat: PETSc.Mat, left: PETSc.Vec, right: PETSc.Vec) -> None:
         self._scale.pointwiseMult(self._scale, left)
