@@ -110,7 +110,7 @@ def facet_entities(mesh: Any, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.i
     """Return integration entities (cell, local facet, cell, local facet) of facets, flat.
 
     Args:
-        mesh: dolfinx mesh.
+        mesh: Dolfinx mesh.
         facets: Owned interior facets, shape ``(n,)``.
     """
     kind = fem.IntegralType.interior_facet
@@ -127,7 +127,7 @@ class CompiledForm:
     """UFL form compiled for given coefficients, with integration entities to be given later.
 
     Args:
-        mesh: dolfinx mesh.
+        mesh: Dolfinx mesh.
         form: UFL form with integrals over subdomain 1. Derivatives must have been expanded: they
             may make coefficients disappear, which confuses dolfinx 0.9.
         options: ``form_compiler_options`` and ``jit_options`` of ``dolfinx.fem.form``.

@@ -35,7 +35,7 @@ def release_zeros(array: npt.NDArray[Any]) -> None:
     of the nodes.
 
     Args:
-        array: contiguous array of zeros.
+        array: Contiguous array of zeros.
     """
     if sys.platform != "linux" or array.any():
         return

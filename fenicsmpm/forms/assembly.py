@@ -56,17 +56,17 @@ def _check_size(b: _Array, V: fem.FunctionSpace) -> None:
 
 
 def assemble_scalar(M: Form) -> float:
-    """Integrate a form of rank 0 (collective).
+    """Integrate a form of rank 0. Collective.
 
     Args:
-        M: compiled form.
+        M: Compiled form.
 
     Returns:
         The integral over all ranks. In contrast, dolfinx leaves the sum over ranks to the caller.
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank.
     """
     _check(M, 0)
     M.refresh()
@@ -80,16 +80,16 @@ def assemble_vector(L: Form, b: la.Vector | None = None) -> la.Vector:
     """Assemble a form of rank 1.
 
     Args:
-        L: compiled form.
-        b: vector to add to. None for a new one.
+        L: Compiled form.
+        b: Vector to add to. None for a new one.
 
     Returns:
         The vector. Its ghost entries have not been sent to their owners yet
         (``b.scatter_reverse``).
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank, or the vector another size.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank, or the vector another size.
     """
     _check(L, 1)
     if b is None:
@@ -104,9 +104,9 @@ def add_to_array(b: _Array, L: Form, sizes: _Array | None = None) -> None:
     """Add a form of rank 1 to the local array of a vector, ghosts included.
 
     Args:
-        b: local array of the vector, ghosts included.
-        L: compiled form.
-        sizes: array to which the absolute values of the added terms are added, separately for each
+        b: Local array of the vector, ghosts included.
+        L: Compiled form.
+        sizes: Array to which the absolute values of the added terms are added, separately for each
             group of points, and for each form over cells or facets. They give the scale of
             round-off in sums that should be zero.
     """
@@ -132,14 +132,14 @@ def create_matrix(a: Form, compact: bool = False) -> la.MatrixCSR:
     """Create a matrix for a form of rank 2, with block size one.
 
     Args:
-        a: compiled form.
-        compact: whether the matrix only has entries for the cells that contain points now. Direct
+        a: Compiled form.
+        compact: Whether the matrix only has entries for the cells that contain points now. Direct
             solvers then do not see the empty part of the background mesh. Otherwise, there are
             entries for points in any cell, so that the points may move.
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank.
     """
     _check(a, 2)
     maps = [V.dofmap.index_map for V in a.function_spaces]
@@ -219,18 +219,18 @@ def assemble_matrix(
     A: la.MatrixCSR | None = None,
     fill: npt.NDArray[np.bool_] | None = None,
 ) -> la.MatrixCSR:
-    """Assemble a form of rank 2 (collective).
+    """Assemble a form of rank 2. Collective.
 
     Rows and columns of constrained degrees of freedom are omitted and get ``diag`` on the diagonal.
     Degrees of freedom without points nearby, which no integral reaches, get a row of the identity,
     so that the matrix can be factorized.
 
     Args:
-        a: compiled form.
+        a: Compiled form.
         bcs: Dirichlet conditions.
-        diag: diagonal entry of constrained degrees of freedom.
-        A: matrix to overwrite, from ``create_matrix``. None for a new one.
-        fill: mask of rows ``(n_owned_rows,)`` that also get a row of the identity if all their
+        diag: Diagonal entry of constrained degrees of freedom.
+        A: Matrix to overwrite, from ``create_matrix``. None for a new one.
+        fill: Mask of rows ``(n_owned_rows,)`` that also get a row of the identity if all their
             entries are zero, such as rows of nodes that only an open contact reaches. None for no
             such rows.
 
@@ -238,8 +238,8 @@ def assemble_matrix(
         The matrix. Its ghost rows have already been sent to their owners.
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank, or the matrix was created for another form.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank, or the matrix was created for another form.
     """
     _check(a, 2)
     a.refresh()
@@ -270,13 +270,13 @@ def assemble_matrix(
 
 
 def inactive_dofs(a: Form, A: la.MatrixCSR | None = None) -> npt.NDArray[np.int32]:
-    """Return the degrees of freedom of the test space that no integral reaches (collective).
+    """Return the degrees of freedom of the test space that no integral reaches. Collective.
 
     These have no points nearby. For linear forms, integrals over cells and facets are ignored.
 
     Args:
-        a: compiled form of rank 1 or 2.
-        A: matrix of a form of rank 2, which is overwritten. None for a new one.
+        a: Compiled form of rank 1 or 2.
+        A: Matrix of a form of rank 2, which is overwritten. None for a new one.
 
     Returns:
         Owned local indices, unrolled, ``(n,)``.
@@ -301,15 +301,15 @@ def apply_lifting(
     """Subtract ``alpha * A (g - x0)`` from a vector, for the constrained columns of each A.
 
     Args:
-        b: local array of the vector, ghosts included. Scatter it afterwards.
-        a: compiled forms of rank 2.
+        b: Local array of the vector, ghosts included. Scatter it afterwards.
+        a: Compiled forms of rank 2.
         bcs: Dirichlet conditions on the trial space of each form.
-        x0: local arrays of the current solutions, ghosts included. None for zero.
-        alpha: factor [-].
+        x0: Local arrays of the current solutions, ghosts included. None for zero.
+        alpha: Factor [-].
 
     Raises:
-        TypeError: if a form is not compiled by ``form``.
-        ValueError: if a form has another rank, or the vector another size.
+        TypeError: If a form is not compiled by ``form``.
+        ValueError: If a form has another rank, or the vector another size.
     """
     for k, form in enumerate(a):
         _check(form, 2)

@@ -27,7 +27,7 @@ def expand_components(expression: Any) -> Any:
     """Expand a scalar expression so that it has no free indices, index sums or tensors.
 
     Args:
-        expression: scalar UFL expression, with derivatives already expanded and compound tensor
+        expression: Scalar UFL expression, with derivatives already expanded and compound tensor
             operators already lowered, for example by ``expand_derivatives``.
 
     Returns:

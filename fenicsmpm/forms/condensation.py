@@ -34,8 +34,8 @@ def sites_per_cell(mesh: Any, degree: float) -> float:
     """Return the number of sites per cell for integrands of a degree, infinite if impossible.
 
     Args:
-        mesh: background mesh.
-        degree: polynomial degree of the integrand.
+        mesh: Background mesh.
+        degree: Polynomial degree of the integrand.
     """
     if degree > MAX_DEGREE or mesh.basix_cell().name not in SIMPLICES:
         return math.inf
@@ -54,10 +54,10 @@ class CondensedPoints:
     grid functions need.
 
     Args:
-        points: points that the sites represent.
-        cell: cells of the sites ``(n,)``, in ascending order.
-        xi: reference positions ``(n, d)`` [-].
-        weight: weights ``(n,)`` [m^d], of any sign.
+        points: Points that the sites represent.
+        cell: Cells of the sites ``(n,)``, in ascending order.
+        xi: Reference positions ``(n, d)`` [-].
+        weight: Weights ``(n,)`` [m^d], of any sign.
     """
 
     version = 0  # read by stencils; these sites do not move
@@ -84,8 +84,8 @@ class Condensation:
     """Replacement of many sites by few, for integrands of one degree.
 
     Args:
-        degree: degree of the integrands, for which ``sites_per_cell`` must be finite.
-        sites: all selected points, by cell.
+        degree: Degree of the integrands, for which ``sites_per_cell`` must be finite.
+        sites: All selected points, by cell.
     """
 
     def __init__(self, degree: float, sites: Sites) -> None:

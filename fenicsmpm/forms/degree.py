@@ -16,7 +16,7 @@ def degree_of(expression: Any, leaves: Mapping[Any, float]) -> float:
 
     Args:
         expression: UFL expression without free indices.
-        leaves: degrees of the parts that stand for functions. All other parts are constants.
+        leaves: Degrees of the parts that stand for functions. All other parts are constants.
 
     Returns:
         The degree, infinite if the expression is not a polynomial.

@@ -26,14 +26,14 @@ class PointExpression:
     Args:
         expression: UFL expression of any shape, without arguments. As in forms over points, it may
             contain functions and their gradients, point fields, constants and geometry.
-        points: the point set.
-        jit_options: options of the compiler; see ``form``.
+        points: The point set.
+        jit_options: Options of the compiler; see ``form``.
 
     Attributes:
-        shape: shape of the expression.
+        shape: Shape of the expression.
 
     Raises:
-        UnsupportedFormError: if the expression has arguments, or parts without meaning at points.
+        UnsupportedFormError: If the expression has arguments, or parts without meaning at points.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class PointExpression:
         points: MaterialPoints,
         jit_options: dict[str, Any] | None = None,
     ) -> None:
-        """Compile (collective)."""
+        """Compile. Collective."""
         expression = ufl.as_ufl(expression)
         if extract_arguments(expression):
             raise UnsupportedFormError(
@@ -95,13 +95,13 @@ class FieldUpdates:
     """New values of several fields of a point set, whose expressions are compiled together.
 
     Args:
-        points: the point set.
-        fields: new values by field name, as UFL over the points, or as functions that return
+        points: The point set.
+        fields: New values by field name, as UFL over the points, or as functions that return
             ``(n_points, *shape)``.
     """
 
     def __init__(self, points: MaterialPoints, fields: Mapping[str, Any]) -> None:
-        """Compile (collective)."""
+        """Compile. Collective."""
         self._points = points
         self._functions = {name: f for name, f in fields.items() if not isinstance(f, Expr)}
         expressions = {name: f for name, f in fields.items() if isinstance(f, Expr)}
@@ -134,23 +134,23 @@ def evaluate(expression: Any, points: MaterialPoints) -> npt.NDArray[np.float64]
 
     Args:
         expression: UFL expression without arguments.
-        points: the point set.
+        points: The point set.
 
     Returns:
         Values ``(n_points, *shape)`` in storage order, which can be assigned to a field of the
         points.
 
     Raises:
-        UnsupportedFormError: if the expression has arguments, or parts without meaning at points.
+        UnsupportedFormError: If the expression has arguments, or parts without meaning at points.
     """
     return PointExpression(expression, points).evaluate()
 
 
 def describe_not_finite(compiled: Form) -> str:
-    """Describe at which material point an integrand of a form is not finite (collective).
+    """Describe at which material point an integrand of a form is not finite. Collective.
 
     Args:
-        compiled: compiled form.
+        compiled: Compiled form.
 
     Returns:
         One sentence with position, cell and rank of the first such point.

@@ -26,12 +26,12 @@ class Form(Described):
     Create it with ``form``.
 
     Attributes:
-        ufl_form: the UFL form.
-        point_integrals: integrals over points, one for each point set and tag.
-        ordinary: compiled dolfinx form with the integrals over fixed cells and facets, or None.
-        region_forms: forms over cells and facets that follow the points.
-        function_spaces: dolfinx spaces of the arguments, with the test space first.
-        mesh: dolfinx mesh.
+        ufl_form: The UFL form.
+        point_integrals: Integrals over points, one for each point set and tag.
+        ordinary: Compiled dolfinx form with the integrals over fixed cells and facets, or None.
+        region_forms: Forms over cells and facets that follow the points.
+        function_spaces: Dolfinx spaces of the arguments, with the test space first.
+        mesh: Dolfinx mesh.
     """
 
     def __init__(
@@ -70,10 +70,10 @@ class Form(Described):
         return self.ordinary is not None or bool(self.region_forms)
 
     def mesh_forms(self, varying: bool = False) -> list[fem.Form]:
-        """Return the dolfinx forms of all integrals over the current cells and facets (collective).
+        """Return the dolfinx forms of all integrals over the current cells and facets. Collective.
 
         Args:
-            varying: whether to omit forms without coefficients, whose tensors change only with the
+            varying: Whether to omit forms without coefficients, whose tensors change only with the
                 region and the constants.
         """
         fixed = [] if self.ordinary is None else [self.ordinary]
@@ -81,7 +81,7 @@ class Form(Described):
         return fixed + [form.current() for form in selected]
 
     def refresh(self) -> None:
-        """Update the coefficients that are derived from points (collective)."""
+        """Update the coefficients that are derived from points. Collective."""
         for function in self._derived:
             function.follow_points()
 
@@ -134,7 +134,7 @@ def form(
     form_compiler_options: dict[str, Any] | None = None,
     jit_options: dict[str, Any] | None = None,
 ) -> Form:
-    """Compile a UFL form with integrals over material points, cells or facets (collective).
+    """Compile a UFL form with integrals over material points, cells or facets. Collective.
 
     Integrals over ``points.dx`` are sums over the points with their weights. dolfinx compiles all
     other integrals (``dx``, ``ds``, ``dS``).
@@ -142,17 +142,17 @@ def form(
     Args:
         F: UFL form of rank 0, 1 or 2 on one mesh.
         form_compiler_options: FFCx options for the integrals over cells and facets.
-        jit_options: options of ``dolfinx.jit.ffcx_jit`` for all integrals. The compiler flags of
+        jit_options: Options of ``dolfinx.jit.ffcx_jit`` for all integrals. The compiler flags of
             point integrals are chosen for speed unless ``cffi_extra_compile_args`` is given.
 
     Returns:
         The compiled form.
 
     Raises:
-        TypeError: if F is not a UFL form.
-        ValueError: if the form has no integrals, more than two arguments, or parts on different
+        TypeError: If F is not a UFL form.
+        ValueError: If the form has no integrals, more than two arguments, or parts on different
             meshes.
-        UnsupportedFormError: if a part of an integrand has no meaning over points. The message
+        UnsupportedFormError: If a part of an integrand has no meaning over points. The message
             names it.
     """
     if not isinstance(F, ufl.Form):

@@ -20,9 +20,9 @@ def geometry_values(
     """Return the values at points of a geometric quantity that varies within cells.
 
     Args:
-        quantity: one of the UFL quantities of ``lowering.POINT_GEOMETRY``.
-        points: the point set.
-        order: storage indices ``(n,)`` of the points.
+        quantity: One of the UFL quantities of ``lowering.POINT_GEOMETRY``.
+        points: The point set.
+        order: Storage indices ``(n,)`` of the points.
 
     Returns:
         Flattened values ``(n, size)``.
@@ -41,13 +41,13 @@ def geometry_values(
 
 
 def cell_values(quantity: Any, mesh: Any) -> npt.NDArray[np.float64]:
-    """Return the ``(n_cells,)`` values of a quantity that is constant in each cell (collective).
+    """Return the ``(n_cells,)`` values of a quantity that is constant in each cell. Collective.
 
     dolfinx computes the values.
 
     Args:
         quantity: UFL cell size such as ``CellVolume``.
-        mesh: dolfinx mesh.
+        mesh: Dolfinx mesh.
     """
     space = fem.functionspace(mesh, ("DG", 0))
     if type(quantity).__name__ == "CellVolume":

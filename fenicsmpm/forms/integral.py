@@ -34,15 +34,15 @@ class PointIntegral:
     """Integral of a UFL expression over material points.
 
     Args:
-        integrand: scalar UFL expression of rank 0, 1 or 2.
-        points: the point set, whose weights are the quadrature weights.
-        tag: tag of the points to which the integral is restricted. None for all points.
-        jit_options: options of the compiler; see ``form``.
+        integrand: Scalar UFL expression of rank 0, 1 or 2.
+        points: The point set, whose weights are the quadrature weights.
+        tag: Tag of the points to which the integral is restricted. None for all points.
+        jit_options: Options of the compiler; see ``form``.
 
     Raises:
-        UnsupportedFormError: for the reasons of ``lowering.lower``, or for averages over cells if
+        UnsupportedFormError: For the reasons of ``lowering.lower``, or for averages over cells if
             the grid functions of the points are not those of a cell.
-        ValueError: if the grid functions of the points cannot represent a function space.
+        ValueError: If the grid functions of the points cannot represent a function space.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class PointIntegral:
         tag: int | None,
         jit_options: dict[str, Any],
     ) -> None:
-        """Lower and compile (collective)."""
+        """Lower and compile. Collective."""
         self.points = points
         self.tag = tag
         if tag is not None:
@@ -134,8 +134,8 @@ class PointIntegral:
         """Return local dofs of an argument's space whose functions are not zero at all points.
 
         Args:
-            source: test or trial source.
-            space: its function space.
+            source: Test or trial source.
+            space: Its function space.
         """
         if id(source) not in self._active:
             table = self.sites.table(source)
@@ -153,8 +153,8 @@ class PointIntegral:
         """Return the unrolled dofs ``(n_groups, n_local)`` of a source's space, in slot order.
 
         Args:
-            source: argument or function.
-            space: its function space.
+            source: Argument or function.
+            space: Its function space.
         """
         key = id(source)
         if key not in self._dofs:
@@ -187,10 +187,10 @@ class PointIntegral:
         """Add the element matrices of an integral of rank 2 to a matrix.
 
         Args:
-            places: places of the entries for all of ``self.groups``; see ``loops.add_matrices``.
-            indptr: start of each row of the matrix.
-            fixed: marks of constrained rows and columns.
-            data: values of the matrix.
+            places: Places of the entries for all of ``self.groups``; see ``loops.add_matrices``.
+            indptr: Start of each row of the matrix.
+            fixed: Marks of constrained rows and columns.
+            data: Values of the matrix.
         """
         n_local = self._local_sizes()
         dofs = [self._dofs[id(source)] for source in self.lowered.arguments]
@@ -228,7 +228,7 @@ class PointIntegral:
         The last argument of the function, the result, is missing.
 
         Args:
-            numbers: see ``Sites.batches``.
+            numbers: See ``Sites.batches``.
         """
         self.refresh()
         sites, arguments = self._integration_sites, self.lowered.arguments

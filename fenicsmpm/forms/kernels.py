@@ -60,9 +60,9 @@ class Kernel:
     """Compiled pointwise form.
 
     Attributes:
-        address: address of the C function ``tabulate_tensor(A, w, c, coordinates, ...)``. It adds
+        address: Address of the C function ``tabulate_tensor(A, w, c, coordinates, ...)``. It adds
             to A ``(trial slots, test slots)`` and reads its inputs from c.
-        shape: shape of A: (), (test slots,) or (trial slots, test slots).
+        shape: Shape of A: (), (test slots,) or (trial slots, test slots).
         module: CFFI module that owns the function.
     """
 
@@ -77,9 +77,9 @@ def compile_pointwise(
     """Compile a lowered integrand once for all ranks, or load it from FFCx's cache.
 
     Args:
-        comm: MPI communicator (collective).
-        lowered: the pointwise form.
-        jit_options: options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
+        comm: MPI communicator. Collective.
+        lowered: The pointwise form.
+        jit_options: Options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
 
     Returns:
         The kernel, or None for an integrand that is zero.
@@ -96,10 +96,10 @@ def compile_kernel(
     """Compile a form with one quadrature point, as ``compile_pointwise`` does.
 
     Args:
-        comm: MPI communicator (collective).
+        comm: MPI communicator. Collective.
         form: UFL form.
-        shape: shape of its element tensor.
-        jit_options: options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
+        shape: Shape of its element tensor.
+        jit_options: Options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
     """
     options = {"cffi_extra_compile_args": COMPILE_ARGS} | jit_options
     compiled, module = _jit.kernel_form(comm, form, options)

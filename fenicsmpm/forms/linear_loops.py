@@ -21,12 +21,12 @@ def with_moments(table, values, dim):
     """Return the slots of a table, followed by the gradient slots that belong to its value slots.
 
     Args:
-        table: a ``SlotTable`` whose gradient rows follow its value rows.
-        values: positions ``(n,)`` of the value slots within the used slots.
-        dim: space dimension.
+        table: A ``SlotTable`` whose gradient rows follow its value rows.
+        values: Positions ``(n,)`` of the value slots within the used slots.
+        dim: Space dimension.
 
     Returns:
-        basis, column, length and start of the extended slots.
+        Basis, column, length and start of the extended slots.
     """
     rows = np.arange(1, dim + 1)
     length = table.length[values]

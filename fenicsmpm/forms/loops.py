@@ -22,17 +22,17 @@ def gather_function(
     """Write the slots of a function at the points of some groups to ``inputs[:, first:]``.
 
     Args:
-        values: local coefficient vector ``(n_dofs,)``, ghosts included.
-        dofs: local dofs of all groups ``(n_all_groups, n_local)``.
-        groups: groups to process ``(n_groups,)``.
-        offsets: ranges of their points within ``rows`` ``(n_groups + 1,)``.
-        rows: table row of each point.
-        basis: table ``(n_table, n_columns)``.
-        column: first column of each slot.
-        length: number of grid functions of each slot.
-        start: first local dof of each slot.
-        inputs: result ``(n_points of these groups, n_inputs)``.
-        first: first column of the result.
+        values: Local coefficient vector ``(n_dofs,)``, ghosts included.
+        dofs: Local dofs of all groups ``(n_all_groups, n_local)``.
+        groups: Groups to process ``(n_groups,)``.
+        offsets: Ranges of their points within ``rows`` ``(n_groups + 1,)``.
+        rows: Table row of each point.
+        basis: Table ``(n_table, n_columns)``.
+        column: First column of each slot.
+        length: Number of grid functions of each slot.
+        start: First local dof of each slot.
+        inputs: Result ``(n_points of these groups, n_inputs)``.
+        first: First column of the result.
     """
     for i in numba.prange(len(groups)):
         local = values[dofs[groups[i]]]
@@ -120,14 +120,14 @@ def mark_seen(offsets, rows, basis, column, length, start, least, seen):
     A function counts as zero at a point if it is smaller than ``least`` times the largest one.
 
     Args:
-        offsets: ranges of the points of each group within ``rows`` ``(n_groups + 1,)``.
-        rows: table row of each point.
-        basis: table ``(n_table, n_columns)``.
-        column: first column of each slot.
-        length: number of grid functions of each slot.
-        start: first local dof of each slot.
-        least: relative limit of each group ``(n_groups,)``.
-        seen: result ``(n_groups, n_local)``.
+        offsets: Ranges of the points of each group within ``rows`` ``(n_groups + 1,)``.
+        rows: Table row of each point.
+        basis: Table ``(n_table, n_columns)``.
+        column: First column of each slot.
+        length: Number of grid functions of each slot.
+        start: First local dof of each slot.
+        least: Relative limit of each group ``(n_groups,)``.
+        seen: Result ``(n_groups, n_local)``.
     """
     for i in range(len(offsets) - 1):
         for k in range(offsets[i], offsets[i + 1]):
@@ -154,12 +154,12 @@ def add_matrices(matrices, dofs0, dofs1, groups, places, indptr, fixed0, fixed1,
     """Add element matrices to CSR data, without constrained rows and columns.
 
     Args:
-        matrices: element matrices ``(n_groups, n_local0, n_local1)``.
-        dofs0: rows ``(n_all_groups, n_local0)``.
-        dofs1: columns ``(n_all_groups, n_local1)``.
-        groups: groups of the matrices ``(n_groups,)``.
-        places: place of each entry within its row ``(n_groups, n, n_local1)``; see ``csr_places``.
-        indptr: start of each row in ``data``.
+        matrices: Element matrices ``(n_groups, n_local0, n_local1)``.
+        dofs0: Rows ``(n_all_groups, n_local0)``.
+        dofs1: Columns ``(n_all_groups, n_local1)``.
+        groups: Groups of the matrices ``(n_groups,)``.
+        places: Place of each entry within its row ``(n_groups, n, n_local1)``; see ``csr_places``.
+        indptr: Start of each row in ``data``.
         fixed0: uint8 marks of constrained rows.
         fixed1: uint8 marks of constrained columns.
         data: CSR values.
@@ -189,13 +189,13 @@ def lift(matrices, dofs0, dofs1, groups, fixed1, values, result):
     """Subtract the constrained columns of element matrices times given values from a vector.
 
     Args:
-        matrices: element matrices ``(n_groups, n_local0, n_local1)``.
-        dofs0: rows ``(n_all_groups, n_local0)``.
-        dofs1: columns ``(n_all_groups, n_local1)``.
-        groups: groups of the matrices ``(n_groups,)``.
+        matrices: Element matrices ``(n_groups, n_local0, n_local1)``.
+        dofs0: Rows ``(n_all_groups, n_local0)``.
+        dofs1: Columns ``(n_all_groups, n_local1)``.
+        groups: Groups of the matrices ``(n_groups,)``.
         fixed1: uint8 marks of constrained columns.
-        values: values of the constrained dofs ``(n_dofs1,)``.
-        result: local vector, changed in place.
+        values: Values of the constrained dofs ``(n_dofs1,)``.
+        result: Local vector, changed in place.
     """
     for i in range(len(groups)):
         for b in range(dofs1.shape[1]):
@@ -229,12 +229,12 @@ def csr_places(indptr, indices, dofs0, dofs1, groups, places):
     """Find the place of each element matrix entry within its row of a CSR matrix.
 
     Args:
-        indptr: start of each row.
-        indices: columns, ascending in each row.
-        dofs0: rows ``(n_all_groups, n_local0)``.
-        dofs1: columns ``(n_all_groups, n_local1)``.
-        groups: groups to process ``(n_groups,)``.
-        places: result ``(n_groups, n, n_local1)`` for the first n rows, which are valid for all
+        indptr: Start of each row.
+        indices: Columns, ascending in each row.
+        dofs0: Rows ``(n_all_groups, n_local0)``.
+        dofs1: Columns ``(n_all_groups, n_local1)``.
+        groups: Groups to process ``(n_groups,)``.
+        places: Result ``(n_groups, n, n_local1)`` for the first n rows, which are valid for all
             rows if ``rows_repeat``. Its type is unsigned, as numba checks signed indices for
             negative values.
 
@@ -276,19 +276,19 @@ def add_facet_matrices(
     Zero entries are skipped. Most entries are zero, as only components of the same name interact.
 
     Args:
-        addresses: addresses ``(n_kernels,)`` of kernels without coefficients.
-        constants: constants ``(n,)`` of these kernels, at least one number.
-        entities: cell and local facet on both sides ``(n_facets, 4)``.
-        x: node positions ``(n_nodes, 3)``.
-        nodes: nodes of the cells ``(n_cells, n_corners)``.
-        dofs0: unrolled test dofs ``(n_cells, n_local)``.
-        dofs1: unrolled trial dofs ``(n_cells, n_local)``.
-        permutations: facet permutations ``(n_cells, facets of a cell)``.
+        addresses: Addresses ``(n_kernels,)`` of kernels without coefficients.
+        constants: Constants ``(n,)`` of these kernels, at least one number.
+        entities: Cell and local facet on both sides ``(n_facets, 4)``.
+        x: Node positions ``(n_nodes, 3)``.
+        nodes: Nodes of the cells ``(n_cells, n_corners)``.
+        dofs0: Unrolled test dofs ``(n_cells, n_local)``.
+        dofs1: Unrolled trial dofs ``(n_cells, n_local)``.
+        permutations: Facet permutations ``(n_cells, facets of a cell)``.
         fixed0: 1 for constrained rows ``(n_dofs,)``.
         fixed1: 1 for constrained columns ``(n_dofs,)``.
-        indptr: start of each row of the matrix.
-        indices: columns of the matrix, ascending in each row.
-        data: values of the matrix.
+        indptr: Start of each row of the matrix.
+        indices: Columns of the matrix, ascending in each row.
+        data: Values of the matrix.
 
     Returns:
         Whether the pattern has a place for all entries.
@@ -357,9 +357,9 @@ def average_groups(table, weights, offsets):
     """Return the weighted averages of table rows over the points of groups, one row per point.
 
     Args:
-        table: rows of all points ``(n_points, n_columns)``, in group order.
-        weights: weights of the points ``(n_points,)``.
-        offsets: range of points of each group ``(n_groups + 1,)``.
+        table: Rows of all points ``(n_points, n_columns)``, in group order.
+        weights: Weights of the points ``(n_points,)``.
+        offsets: Range of points of each group ``(n_groups + 1,)``.
     """
     result = np.empty_like(table)
     for i in range(len(offsets) - 1):
@@ -379,8 +379,8 @@ def equal_rows(indptr, indices):
     """Sort the rows of a sparse pattern so that rows with the same columns are together.
 
     Args:
-        indptr: start of each row.
-        indices: columns, sorted in each row.
+        indptr: Start of each row.
+        indices: Columns, sorted in each row.
 
     Returns:
         The order of the rows, and the start of each set of equal rows in it.

@@ -78,11 +78,11 @@ class Source:
     """Argument, coefficient, constant or geometric quantity, and the slots of it that are used.
 
     Attributes:
-        item: the UFL object.
-        placeholder: vector that stands for all its slots during lowering.
-        layout: layout of its space. None if the slots are plain components.
-        size: number of its slots.
-        used: numbers of the slots that the form needs, set at the end of lowering.
+        item: The UFL object.
+        placeholder: Vector that stands for all its slots during lowering.
+        layout: Layout of its space. None if the slots are plain components.
+        size: Number of its slots.
+        used: Numbers of the slots that the form needs, set at the end of lowering.
     """
 
     item: Any
@@ -114,10 +114,10 @@ class PointwiseForm:
     Attributes:
         form: UFL form for FFCx, with the arguments (trial slots, test slots) in this order. None if
             the integrand is zero, for example due to second gradients of linear functions.
-        arguments: test and trial sources, in the order of argument numbers.
-        inputs: all other sources. Their used slots, one source after the other, form the input
+        arguments: Test and trial sources, in the order of argument numbers.
+        inputs: All other sources. Their used slots, one source after the other, form the input
             vector.
-        degree: polynomial degree of the integrand in the position of the point within its group.
+        degree: Polynomial degree of the integrand in the position of the point within its group.
             Infinite if it is not a polynomial, or has inputs other than linear functions and
             constants.
     """
@@ -132,14 +132,14 @@ def lower(integrand: Any, mesh: Any) -> PointwiseForm:
     """Lower the integrand of an integral over material points.
 
     Args:
-        integrand: scalar UFL expression.
-        mesh: dolfinx mesh of the points.
+        integrand: Scalar UFL expression.
+        mesh: Dolfinx mesh of the points.
 
     Returns:
         The pointwise form.
 
     Raises:
-        UnsupportedFormError: if a part of the integrand has no meaning over points. The message
+        UnsupportedFormError: If a part of the integrand has no meaning over points. The message
             names it.
     """
     lowering = _Lowering(mesh)

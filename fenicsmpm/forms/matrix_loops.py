@@ -239,11 +239,11 @@ def _factor(tensors, functions, slots0, slots1, width, product, terms):
     Args:
         tensors: D as ``[point, slot of B1, slot of the other factor]``.
         functions: B1.
-        slots0: slots of the other factor.
-        slots1: slots of B1.
-        width: width of B1 in rows of eight.
-        product: result, overwritten.
-        terms: overwritten by the lines of the other factor that belong to the rows.
+        slots0: Slots of the other factor.
+        slots1: Slots of B1.
+        width: Width of B1 in rows of eight.
+        product: Result, overwritten.
+        terms: Overwritten by the lines of the other factor that belong to the rows.
 
     Returns:
         The number of rows.

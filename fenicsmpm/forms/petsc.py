@@ -35,7 +35,7 @@ def create_vector(L: Form) -> PETSc.Vec:
     """Create a ghosted vector for a form of rank 1, filled with zeros.
 
     Args:
-        L: compiled form.
+        L: Compiled form.
     """
     dofmap = L.function_spaces[0].dofmap
     index_map, bs = dofmap.index_map, dofmap.index_map_bs
@@ -50,17 +50,17 @@ def assemble_vector(
     """Assemble a form of rank 1; as in dolfinx, ghosts are not sent to their owners.
 
     Args:
-        L: compiled form.
-        b: vector to add to. None for a new one.
-        sizes: vector to which the absolute values of the summed terms are added.
+        L: Compiled form.
+        b: Vector to add to. None for a new one.
+        sizes: Vector to which the absolute values of the summed terms are added.
 
     Returns:
         The vector. After lifting, add up the ghosts with
         ``b.ghostUpdate(InsertMode.ADD, ScatterMode.REVERSE)`` as in dolfinx.
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank.
     """
     assembly._check(L, 1)
     b = create_vector(L) if b is None else b
@@ -74,15 +74,15 @@ def assemble_vector(
 
 
 def create_matrix(a: Form, compact: bool = False) -> PETSc.Mat:
-    """Create a matrix for a form of rank 2 (collective).
+    """Create a matrix for a form of rank 2. Collective.
 
     Args:
-        a: compiled form.
-        compact: see ``fenicsmpm.forms.create_matrix``.
+        a: Compiled form.
+        compact: See ``fenicsmpm.forms.create_matrix``.
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank.
     """
     A = assembly.create_matrix(a, compact)
     maps = [V.dofmap.index_map for V in a.function_spaces]
@@ -104,21 +104,21 @@ def assemble_matrix(
     A: PETSc.Mat | None = None,
     fill: npt.NDArray[np.bool_] | None = None,
 ) -> PETSc.Mat:
-    """Assemble a form of rank 2 (collective); see ``fenicsmpm.forms.assemble_matrix``.
+    """Assemble a form of rank 2; see ``fenicsmpm.forms.assemble_matrix``. Collective.
 
     Args:
-        a: compiled form.
+        a: Compiled form.
         bcs: Dirichlet conditions.
-        diag: diagonal entry of constrained degrees of freedom.
-        A: matrix to overwrite, from ``create_matrix``. None for a new one.
-        fill: mask of rows that also get a row of the identity if all their entries are zero.
+        diag: Diagonal entry of constrained degrees of freedom.
+        A: Matrix to overwrite, from ``create_matrix``. None for a new one.
+        fill: Mask of rows that also get a row of the identity if all their entries are zero.
 
     Returns:
         The assembled matrix.
 
     Raises:
-        TypeError: if the form is not compiled by ``form``.
-        ValueError: if the form has another rank, or the matrix was created for another form.
+        TypeError: If the form is not compiled by ``form``.
+        ValueError: If the form has another rank, or the matrix was created for another form.
     """
     A = create_matrix(a) if A is None else A
     work = assembly.assemble_matrix(a, bcs, diag, _work_matrix(a, A), fill)
@@ -130,11 +130,11 @@ def assemble_matrix(
 
 
 def inactive_dofs(a: Form, A: PETSc.Mat) -> npt.NDArray[np.int32]:
-    """Return ``fenicsmpm.forms.inactive_dofs`` without creating a new matrix (collective).
+    """Return ``fenicsmpm.forms.inactive_dofs`` without creating a new matrix. Collective.
 
     Args:
-        a: compiled form of rank 2.
-        A: its matrix, from ``create_matrix``. The values of A stay the same, but those of its work
+        a: Compiled form of rank 2.
+        A: Its matrix, from ``create_matrix``. The values of A stay the same, but those of its work
             matrix are overwritten.
 
     Returns:
@@ -149,7 +149,7 @@ def unreached_rows(A: PETSc.Mat) -> npt.NDArray[np.int64]:
     Constrained rows may be among them.
 
     Args:
-        A: matrix from ``assemble_matrix``, of a form with equal spaces.
+        A: Matrix from ``assemble_matrix``, of a form with equal spaces.
 
     Returns:
         Owned local indices, unrolled, ``(n,)``.
@@ -167,11 +167,11 @@ def apply_lifting(
     """Subtract ``alpha * A (g - x0)``; see ``fenicsmpm.forms.apply_lifting``.
 
     Args:
-        b: vector, whose ghosts have not been sent to their owners yet.
-        a: compiled forms of rank 2.
+        b: Vector, whose ghosts have not been sent to their owners yet.
+        a: Compiled forms of rank 2.
         bcs: Dirichlet conditions on the trial space of each form.
-        x0: current solutions with up-to-date ghosts. None for zero.
-        alpha: factor [-].
+        x0: Current solutions with up-to-date ghosts. None for zero.
+        alpha: Factor [-].
     """
     arrays = None
     if x0 is not None:
@@ -192,10 +192,10 @@ def set_bc(
     """Set the owned constrained entries of a vector to ``alpha * (g - x0)``.
 
     Args:
-        b: vector.
+        b: Vector.
         bcs: Dirichlet conditions.
-        x0: vector x0, of which owned entries are used. None for zero.
-        alpha: factor [-].
+        x0: Vector x0, of which owned entries are used. None for zero.
+        alpha: Factor [-].
     """
     for bc in bcs:
         _compat.bc_set(bc, b.array_w, None if x0 is None else x0.array_r, alpha)

@@ -20,7 +20,7 @@ class Region(Protocol):
     """Interface of ``subdomain_data`` for measures over changing entities.
 
     Attributes:
-        mesh: dolfinx mesh.
+        mesh: Dolfinx mesh.
     """
 
     mesh: Any
@@ -58,16 +58,16 @@ class RegionForm:
 
     Args:
         integrals: UFL integrals with the same region as data.
-        options: options of ``dolfinx.fem.form``.
+        options: Options of ``dolfinx.fem.form``.
 
     Attributes:
-        region: domain of integration.
-        types: types of the integrals.
-        is_constant: whether the form has no coefficients, so that it depends on ``state`` only.
+        region: Domain of integration.
+        types: Types of the integrals.
+        is_constant: Whether the form has no coefficients, so that it depends on ``state`` only.
     """
 
     def __init__(self, integrals: list[ufl.Integral], options: dict[str, Any]) -> None:
-        """Compile (collective)."""
+        """Compile. Collective."""
         self.region: Region = integrals[0].subdomain_data()
         if any(i.subdomain_id() != "everywhere" for i in integrals):
             raise ValueError(
@@ -109,15 +109,15 @@ class RegionForm:
         """Add the matrix over facets without dolfinx's assembly, which takes ten times as long.
 
         Args:
-            spaces: spaces of test and trial functions.
-            fixed: marks of constrained rows and columns.
-            A: matrix of block size one with a suitable pattern.
+            spaces: Spaces of test and trial functions.
+            fixed: Marks of constrained rows and columns.
+            A: Matrix of block size one with a suitable pattern.
 
         Returns:
             Whether the form is suitable, so that the matrix was added.
 
         Raises:
-            ValueError: if the pattern of the matrix is that of another form.
+            ValueError: If the pattern of the matrix is that of another form.
         """
         if self._facet_kernels is None:
             return False
@@ -147,7 +147,7 @@ class RegionForm:
         return True
 
     def current(self) -> fem.Form:
-        """Return the dolfinx form over the current region (collective)."""
+        """Return the dolfinx form over the current region. Collective."""
         if self._form is None or self._version != self.region.version:
             self._version = self.region.version
             self._form = self._compiled.over({t: self.region.entities(t) for t in self.types})

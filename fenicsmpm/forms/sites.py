@@ -31,14 +31,14 @@ class Sites:
     The object is valid as long as the points do not move.
 
     Args:
-        points: the point set, ``MaterialPoints`` or ``CondensedPoints``.
-        stencil: stencil of the points.
-        rows: selected rows of the stencil's tables ``(n,)``.
-        groups: groups with selected points ``(n_groups,)``.
-        offsets: range of each of these groups within ``rows`` ``(n_groups + 1,)``.
+        points: The point set, ``MaterialPoints`` or ``CondensedPoints``.
+        stencil: Stencil of the points.
+        rows: Selected rows of the stencil's tables ``(n,)``.
+        groups: Groups with selected points ``(n_groups,)``.
+        offsets: Range of each of these groups within ``rows`` ``(n_groups + 1,)``.
 
     Attributes:
-        order: storage index of each site ``(n,)``.
+        order: Storage index of each site ``(n,)``.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Sites:
         """Return the slot table of an argument or function.
 
         Args:
-            source: argument or function.
+            source: Argument or function.
         """
         assert source.layout is not None
         tables = self._averages if source.has_averages else self._tables
@@ -112,7 +112,7 @@ class Sites:
         """Yield ranges of groups and of sites that are processed together.
 
         Args:
-            numbers: number of entries in the element tensor of a group.
+            numbers: Number of entries in the element tensor of a group.
         """
         threads = numba.get_num_threads()
         size, most = _SITES * threads, max(1, _NUMBERS // numbers) * threads
@@ -127,8 +127,8 @@ class Sites:
         """Return the values of the inputs that are not grid functions, ``(n or 1, n_used)`` each.
 
         Args:
-            sources: all inputs of the form.
-            cell_values: values ``(n_cells,)`` of the inputs that are constant in cells, by ``id``.
+            sources: All inputs of the form.
+            cell_values: Values ``(n_cells,)`` of the inputs that are constant in cells, by ``id``.
         """
         return [
             None if source.layout is not None else self._plain_values(source, cell_values)
@@ -163,10 +163,10 @@ class Sites:
         """Return the input vectors of the kernel for a batch of groups and sites.
 
         Args:
-            batch: ranges of groups and sites; see ``batches``.
-            sources: all inputs of the form.
-            plain: values of plain inputs; see ``plain_inputs``.
-            dofs: function from a source and its space to their dofs ``(n_all_groups, n_local)``.
+            batch: Ranges of groups and sites; see ``batches``.
+            sources: All inputs of the form.
+            plain: Values of plain inputs; see ``plain_inputs``.
+            dofs: Function from a source and its space to their dofs ``(n_all_groups, n_local)``.
 
         Returns:
             Input vectors ``(n_sites, n_inputs)``.

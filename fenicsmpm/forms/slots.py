@@ -27,8 +27,8 @@ class Leaf:
     """Components of a space that share one scalar element.
 
     Attributes:
-        element: scalar basix element.
-        size: number of components (block size); they alternate in the cell dofmap.
+        element: Scalar basix element.
+        size: Number of components (block size); they alternate in the cell dofmap.
     """
 
     element: Any
@@ -39,10 +39,10 @@ def leaves_of(element: Any) -> list[Leaf]:
     """Split a UFL element into leaves, in the order of value components and dofs.
 
     Args:
-        element: element of a function space (scalar, blocked or mixed, with any nesting).
+        element: Element of a function space (scalar, blocked or mixed, with any nesting).
 
     Raises:
-        UnsupportedFormError: if an element is not mapped by identity, as for H(div) and H(curl), or
+        UnsupportedFormError: If an element is not mapped by identity, as for H(div) and H(curl), or
             is a symmetric tensor, quadrature or real element.
     """
     leaves: list[Leaf] = []
@@ -91,7 +91,7 @@ class Layout:
 
     Args:
         element: UFL element of the space.
-        dim: space dimension d.
+        dim: Space dimension d.
     """
 
     def __init__(self, element: Any, dim: int) -> None:
@@ -121,9 +121,9 @@ class Layout:
         """Return the number of the slot of a derivative of a component.
 
         Args:
-            component: flattened value component.
-            derivative: directions of the derivative, at most two.
-            average: whether the slot is the average over the points of the group.
+            component: Flattened value component.
+            derivative: Directions of the derivative, at most two.
+            average: Whether the slot is the average over the points of the group.
         """
         row = sum(self.dim**k for k in range(len(derivative)))  # number of lower derivatives
         index = 0
@@ -135,7 +135,7 @@ class Layout:
         """Return the first local dof of each component ``(n_components,)``, in slot order.
 
         Args:
-            stencil: stencil of the points.
+            stencil: Stencil of the points.
         """
         lengths = [stencil.n_functions(leaf.element) for leaf in self.component_leaf]
         return np.cumsum([0, *lengths[:-1]])
@@ -144,8 +144,8 @@ class Layout:
         """Return unrolled local dofs ``(n_groups, n_local)`` of a dolfinx space, in slot order.
 
         Args:
-            space: dolfinx function space.
-            stencil: stencil of the points.
+            space: Dolfinx function space.
+            stencil: Stencil of the points.
         """
         bs = space.dofmap.bs
         blocks = stencil.dofs(space)
@@ -165,10 +165,10 @@ class SlotTable:
     """Rows of grid functions for the used slots of one argument or coefficient.
 
     Attributes:
-        basis: concatenated table rows in group order ``(n_points, n_columns)``.
-        column: first column of each used slot ``(n_slots,)``.
-        length: number of grid functions of each used slot ``(n_slots,)``.
-        start: first local dof of each used slot, in slot order ``(n_slots,)``.
+        basis: Concatenated table rows in group order ``(n_points, n_columns)``.
+        column: First column of each used slot ``(n_slots,)``.
+        length: Number of grid functions of each used slot ``(n_slots,)``.
+        start: First local dof of each used slot, in slot order ``(n_slots,)``.
     """
 
     basis: npt.NDArray[np.float64]
@@ -186,10 +186,10 @@ def slot_table(
     """Tabulate the used slots of a space.
 
     Args:
-        layout: layout of the space.
-        used: slot numbers ``(n,)``.
-        stencil: stencil of the point set.
-        average: function that averages rows ``(n_points, ...)`` over the points of each group.
+        layout: Layout of the space.
+        used: Slot numbers ``(n,)``.
+        stencil: Stencil of the point set.
+        average: Function that averages rows ``(n_points, ...)`` over the points of each group.
     """
     rows = used % layout.n_rows
     components = (used // layout.n_rows) % layout.n_components

@@ -20,18 +20,18 @@ class BDF2(TimeScheme):
     the implicit Euler method.
 
     Args:
-        unknown: unknown with a part that moves the points, the displacement increment u [m].
-        dt: time step [s].
-        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
+        unknown: Unknown with a part that moves the points, the displacement increment u [m].
+        dt: Time step [s].
+        flip: Share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
 
     Attributes:
-        dt: length of the current step [s], a constant that the time loop sets.
-        histories: grid functions of the fields that are mapped from the points, by field name.
-        increment: displacement increment u of the step ``(d,)`` [m], UFL.
-        acceleration: acceleration at the end of the step ``(d,)`` [m/s^2], UFL.
+        dt: Length of the current step [s], a constant that the time loop sets.
+        histories: Grid functions of the fields that are mapped from the points, by field name.
+        increment: Displacement increment u of the step ``(d,)`` [m], UFL.
+        acceleration: Acceleration at the end of the step ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: if the time step is not positive and finite, the share of FLIP lies outside
+        ValueError: If the time step is not positive and finite, the share of FLIP lies outside
             [0, 1], or no part of the unknown moves the points.
     """
 
@@ -54,10 +54,10 @@ class BDF2(TimeScheme):
         """Return the rate of a history [1/s] as UFL, of second order in dt.
 
         Args:
-            part: name of the history.
+            part: Name of the history.
 
         Raises:
-            ValueError: if the part is not a history.
+            ValueError: If the part is not a history.
         """
         super().rate(part)
         name = f"d{part}"
@@ -98,7 +98,7 @@ class BDF2(TimeScheme):
         """Return the new values of the point fields, as UFL over the points.
 
         Args:
-            points: the body.
+            points: The body.
         """
         change = self._velocity - self.histories["v"]
         velocity = self.flip * (points.field("v") + change) + (1 - self.flip) * self._velocity

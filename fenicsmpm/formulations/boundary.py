@@ -28,15 +28,15 @@ def dead_load(w: Any, points: MaterialPoints, traction: Any) -> ufl.Form:
     """Return the load -(t, w) of a traction per initial area with fixed direction.
 
     Args:
-        w: test function of displacement or velocity ``(d,)``.
-        points: boundary points with initial areas as weights [m^(d-1)].
-        traction: force per initial area t [Pa], d components or a UFL vector.
+        w: Test function of displacement or velocity ``(d,)``.
+        points: Boundary points with initial areas as weights [m^(d-1)].
+        traction: Force per initial area t [Pa], d components or a UFL vector.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: if there are no points on any rank, or the traction has a wrong shape.
+        ValueError: If there are no points on any rank, or the traction has a wrong shape.
     """
     require_points(points, "a load")
     return -ufl.inner(_vector(traction, points, "a traction"), w) * points.dx
@@ -46,18 +46,18 @@ def set_normals(
     points: MaterialPoints,
     normals: npt.ArrayLike | OfPosition,
 ) -> None:
-    """Set the field "normal" of boundary points, which ``follower_pressure`` needs (collective).
+    """Set the field "normal" of boundary points, which ``follower_pressure`` needs. Collective.
 
     The field is the outer unit normal times the ratio of current to initial area [-]. Points from
     ``points.on_facets`` and ``points.on_curve`` already have normals.
 
     Args:
-        points: boundary points in their initial state, where the ratio of areas is 1.
-        normals: outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order, or a function
+        points: Boundary points in their initial state, where the ratio of areas is 1.
+        normals: Outer unit normals, ``(d,)`` or ``(n_points, d)`` in storage order, or a function
             as in dolfinx, from positions ``(3, n)`` [m] to normals ``(d, n)``.
 
     Raises:
-        ValueError: if the shape is wrong, or a length is not 1. An error that the function raises
+        ValueError: If the shape is wrong, or a length is not 1. An error that the function raises
             on one rank is raised on all ranks.
     """
     shape = (len(points), points.mesh.geometry.dim)
@@ -93,17 +93,17 @@ def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.
     normals at the end of a step.
 
     Args:
-        z: unknown with the displacement increment u [m], or in explicit steps with the velocity v
+        z: Unknown with the displacement increment u [m], or in explicit steps with the velocity v
             [m/s].
-        points: boundary points with initial areas as weights [m^(d-1)] and the field "normal"; see
+        points: Boundary points with initial areas as weights [m^(d-1)] and the field "normal"; see
             ``set_normals``.
-        pressure: force per current area [Pa], a number or UFL scalar.
+        pressure: Force per current area [Pa], a number or UFL scalar.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: if there are no points on any rank, the points have no normals, or the pressure
+        ValueError: If there are no points on any rank, the points have no normals, or the pressure
             is not a scalar.
     """
     u, w = motion_of(z, "a pressure that follows")
@@ -129,15 +129,15 @@ def penalty_dirichlet(
     a traction t the points give way by t h / (factor E), so the error is of first order in h.
 
     Args:
-        z: unknown with the displacement increment u [m], or in explicit steps with the velocity v
+        z: Unknown with the displacement increment u [m], or in explicit steps with the velocity v
             [m/s].
-        points: boundary points with initial areas as weights [m^(d-1)]. Their field "u" [m] is u_n.
+        points: Boundary points with initial areas as weights [m^(d-1)]. Their field "u" [m] is u_n.
             If it is missing, it is added with the value zero.
-        material: law of the body with the attribute E, or a modulus E [Pa].
-        value: prescribed displacement g from the initial position [m], d components or a UFL
+        material: Law of the body with the attribute E, or a modulus E [Pa].
+        value: Prescribed displacement g from the initial position [m], d components or a UFL
             vector, at the end of the motion u (second argument of ``data`` of ``ImplicitMPM``).
             None for zero.
-        factor: penalty factor [-]. With values of 10 to 100, a cantilever has the deflection of a
+        factor: Penalty factor [-]. With values of 10 to 100, a cantilever has the deflection of a
             fitted mesh. Larger values make cut cells too stiff, since linear functions cannot bend
             and satisfy the condition at all points.
 
@@ -145,7 +145,7 @@ def penalty_dirichlet(
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: if there are no points on any rank, the modulus or factor is not positive and
+        ValueError: If there are no points on any rank, the modulus or factor is not positive and
             finite, or the displacement has a wrong shape.
     """
     u, w = motion_of(z, "a Dirichlet condition")
@@ -173,21 +173,21 @@ def nitsche_dirichlet(
     GAMM-Mitt. 28, 2005).
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: boundary points with initial areas as weights [m^(d-1)] and the field "normal"; see
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Boundary points with initial areas as weights [m^(d-1)] and the field "normal"; see
             ``set_normals``. Their fields "u" [m] (u_n) and "F" (deformation gradient) are added if
             missing. Time loops update them.
-        law: law of the body.
-        value: prescribed displacement g from the initial position [m]; see ``penalty_dirichlet``.
-        factor: penalty factor [-].
+        law: Law of the body.
+        value: Prescribed displacement g from the initial position [m]; see ``penalty_dirichlet``.
+        factor: Penalty factor [-].
         symmetric: False for the opposite sign of the second term, which is stable with any factor.
-        slip: whether only displacements along the normals are prescribed.
+        slip: Whether only displacements along the normals are prescribed.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: if there are no points on any rank, the points have no normals, the factor is
+        ValueError: If there are no points on any rank, the points have no normals, the factor is
             not positive and finite, or the displacement has a wrong shape.
     """
     z.require("u", "p", of="Nitsche's method")
@@ -215,11 +215,11 @@ def modulus_of(material: Any, factor: float) -> float:
     """Return the Young's modulus [Pa] of a law, or a given modulus.
 
     Args:
-        material: law with the attribute E, or a modulus [Pa].
-        factor: penalty factor [-].
+        material: Law with the attribute E, or a modulus [Pa].
+        factor: Penalty factor [-].
 
     Raises:
-        ValueError: if modulus or factor is not positive and finite.
+        ValueError: If modulus or factor is not positive and finite.
     """
     modulus = getattr(material, "E", material)
     for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
@@ -234,11 +234,11 @@ def motion_of(z: Unknown, what: str) -> tuple[Any, Any]:
     In explicit steps, forces are evaluated at the start, so the displacement is zero.
 
     Args:
-        z: unknown with a displacement u, or in explicit steps with a velocity v.
-        what: name of the feature that needs one of them, for the message.
+        z: Unknown with a displacement u, or in explicit steps with a velocity v.
+        what: Name of the feature that needs one of them, for the message.
 
     Raises:
-        ValueError: if the unknown has neither.
+        ValueError: If the unknown has neither.
     """
     if "v" in z and z.moving is None:
         return ufl.zero(z.mesh.geometry.dim), z.test.v
@@ -258,10 +258,10 @@ def carried_normal(points: MaterialPoints) -> PointField:
     """Return the field "normal" of boundary points, which loops update by Nanson's formula.
 
     Args:
-        points: boundary points; see ``set_normals``.
+        points: Boundary points; see ``set_normals``.
 
     Raises:
-        ValueError: if the points have no normals.
+        ValueError: If the points have no normals.
     """
     if "normal" not in points:
         raise ValueError("boundary points without normals: call set_normals(points, normals) first")
@@ -278,11 +278,11 @@ def require_points(points: MaterialPoints, what: str) -> None:
     """Raise ValueError if there are no points on any rank.
 
     Args:
-        points: boundary points.
-        what: name of the feature that needs them, for the message.
+        points: Boundary points.
+        what: Name of the feature that needs them, for the message.
 
     Raises:
-        ValueError: if the set is empty.
+        ValueError: If the set is empty.
     """
     if points.size_global == 0:
         raise ValueError(f"{what} on no points: check where these boundary points were seeded")

@@ -24,16 +24,16 @@ class Condition:
 
     Attributes:
         bc: Dirichlet condition of dolfinx.
-        part: name of the part.
-        unknown: the unknown that has the part.
-        size: number of components of the part.
-        depends_on_time: whether the value is a function of time.
+        part: Name of the part.
+        unknown: The unknown that has the part.
+        size: Number of components of the part.
+        depends_on_time: Whether the value is a function of time.
     """
 
     def __init__(
         self, unknown: Unknown, part: str, where: Place, value: Any, component: int | None
     ) -> None:
-        """Find the nodes, and set the value at time zero (collective)."""
+        """Find the nodes, and set the value at time zero. Collective."""
         unknown.require(part, of="a Dirichlet condition")
         self.part, self._is_motion = part, part == unknown.moving
         self._is_set = False
@@ -68,11 +68,11 @@ class Condition:
         return self._value is not None and self._value.depends_on_time
 
     def set(self, start: float, end: float) -> None:
-        """Set the value for a step (collective); see ``Unknown.set_conditions``.
+        """Set the value for a step; see ``Unknown.set_conditions``. Collective.
 
         Args:
-            start: time at the start of the step [s].
-            end: time at which the equations hold [s].
+            start: Time at the start of the step [s].
+            end: Time at which the equations hold [s].
         """
         if self._value is None or (self._is_set and not self.depends_on_time):
             return  # a function that the user sets, or a constant value
@@ -88,7 +88,7 @@ class Condition:
         do_there(comm, True, lambda: self._function.interpolate(at))
 
     def moves_again(self) -> bool:
-        """Return whether every step would repeat the same nonzero displacement (collective)."""
+        """Return whether every step would repeat the same nonzero displacement. Collective."""
         if not self._is_motion or self._value is None or self.depends_on_time:
             return False
         here = bool(np.any(self._function.x.array != 0))

@@ -37,19 +37,19 @@ def contact(
     body should be the one with the smaller or more curved surface.
 
     Args:
-        z: unknown of the first body, with the displacement increment u [m].
-        points: boundary points of the first body; see ``SurfaceGap``.
-        other: unknown of the second body, coupled to the first one by ``coupled_unknowns``.
-        surface: boundary points of the second body with outer normals; see ``SurfaceGap``.
-        material: law of the softer body with the attribute E, or a modulus E [Pa].
-        factor: penalty factor [-].
-        friction: coefficient of Coulomb friction [-].
+        z: Unknown of the first body, with the displacement increment u [m].
+        points: Boundary points of the first body; see ``SurfaceGap``.
+        other: Unknown of the second body, coupled to the first one by ``coupled_unknowns``.
+        surface: Boundary points of the second body with outer normals; see ``SurfaceGap``.
+        material: Law of the softer body with the attribute E, or a modulus E [Pa].
+        factor: Penalty factor [-].
+        friction: Coefficient of Coulomb friction [-].
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: for the reasons of ``SurfaceGap`` and ``contact_traction``.
+        ValueError: For the reasons of ``SurfaceGap`` and ``contact_traction``.
     """
     gap = SurfaceGap(z, points, other, surface)
     traction = contact_traction(gap, material, factor=factor, friction=friction)
@@ -70,15 +70,15 @@ def contact_traction(
     ``friction`` times the pressure, and slide beyond that; see ``wall``.
 
     Args:
-        gap: gap between the bodies.
-        material: law of the softer body with the attribute E, or a modulus E [Pa].
-        factor: penalty factor [-].
-        friction: coefficient of Coulomb friction [-]. If it is positive, a field "slip on surface
+        gap: Gap between the bodies.
+        material: Law of the softer body with the attribute E, or a modulus E [Pa].
+        factor: Penalty factor [-].
+        friction: Coefficient of Coulomb friction [-]. If it is positive, a field "slip on surface
             i" [m] for s is added to the points. Time loops update it for schemes whose equations
             hold at the end of a step.
 
     Raises:
-        ValueError: if the modulus or factor is not positive and finite, or the friction is negative
+        ValueError: If the modulus or factor is not positive and finite, or the friction is negative
             or not finite.
     """
     points = gap.points

@@ -20,9 +20,9 @@ def stress_power(P: Any, w: Any, points: MaterialPoints) -> ufl.Form:
     """Return the internal virtual work of a stress P, the integral of P : Grad w.
 
     Args:
-        P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL over the points.
-        w: test function of the displacement ``(d,)``.
-        points: the body, with the volumes V_n as weights [m^d]. Points without a field "F" are
+        P: First Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL over the points.
+        w: Test function of the displacement ``(d,)``.
+        points: The body, with the volumes V_n as weights [m^d]. Points without a field "F" are
             undeformed.
 
     Returns:
@@ -54,20 +54,20 @@ class EnergyMomentum(Response):
     step. The constructor adds both fields, computed from the current "F" and state of the body.
 
     Args:
-        material: law at points with an energy, or UFL energy per initial volume ``psi(F)`` [J/m^3].
-        points: the body, with the fields of ``set_initial_state``.
-        z: unknown with the displacement increment u of the step [m].
+        material: Law at points with an energy, or UFL energy per initial volume ``psi(F)`` [J/m^3].
+        points: The body, with the fields of ``set_initial_state``.
+        z: Unknown with the displacement increment u of the step [m].
 
     Attributes:
-        F: deformation gradient at the end of the step, ``(3, 3)``, UFL.
-        P: first Piola-Kirchhoff stress at the end of the step ``(3, 3)`` [Pa], UFL.
-        work: free energy plus dissipated work at the end of the step, per initial volume [J/m^3],
+        F: Deformation gradient at the end of the step, ``(3, 3)``, UFL.
+        P: First Piola-Kirchhoff stress at the end of the step ``(3, 3)`` [Pa], UFL.
+        work: Free energy plus dissipated work at the end of the step, per initial volume [J/m^3],
             UFL.
-        updates: new values of the point fields after a step. Time loops find and apply them.
-        algorithmic_stress: the stress S above ``(3, 3)`` [Pa], UFL.
+        updates: New values of the point fields after a step. Time loops find and apply them.
+        algorithmic_stress: The stress S above ``(3, 3)`` [Pa], UFL.
 
     Raises:
-        ValueError: if the body already has such a stress or lacks the required fields, if
+        ValueError: If the body already has such a stress or lacks the required fields, if
             ``Response`` cannot use the law, or if the law has a state but no field "dissipation".
     """
 

@@ -17,7 +17,7 @@ def jumps(mesh: Any) -> Any:
     """Return the cell size at a facet [m] and a function for jumps of normal derivatives.
 
     Args:
-        mesh: background mesh.
+        mesh: Background mesh.
 
     Returns:
         Size h of the two cells at a facet [m], UFL, and a function that maps a UFL expression to
@@ -43,8 +43,8 @@ def of_jumps(measure: ufl.Measure, spaces: Sequence[fem.FunctionSpace]) -> ufl.M
     the facets of boxes. The degree that UFL estimates is higher.
 
     Args:
-        measure: measure over facets.
-        spaces: function spaces of the arguments of the jumps.
+        measure: Measure over facets.
+        spaces: Function spaces of the arguments of the jumps.
 
     Returns:
         The measure, with a lower quadrature degree if all functions are linear.

@@ -29,11 +29,11 @@ class FBar:
     it.
 
     Args:
-        r: share of the true J [-], 0 to 1.
-        s: share of the difference J_bar - J by which the true J is corrected, per strain [-].
+        r: Share of the true J [-], 0 to 1.
+        s: Share of the difference J_bar - J by which the true J is corrected, per strain [-].
 
     Raises:
-        ValueError: if r lies outside [0, 1], or s is negative or not finite.
+        ValueError: If r lies outside [0, 1], or s is negative or not finite.
     """
 
     r: float = 0.03
@@ -65,7 +65,7 @@ def default_fbar(law: Law) -> FBar | None:
     stresses at walls.
 
     Args:
-        law: constitutive law. The ratio of its moduli is found by small strains.
+        law: Constitutive law. The ratio of its moduli is found by small strains.
     """
     if law.is_fluid or law.n_state > 0:
         return FBar(r=0.3, s=100.0)

@@ -18,10 +18,10 @@ def checked_friction(friction: float) -> float:
     """Return a coefficient of friction if it is finite and not negative.
 
     Args:
-        friction: coefficient of Coulomb friction [-].
+        friction: Coefficient of Coulomb friction [-].
 
     Raises:
-        ValueError: if it is negative or not finite.
+        ValueError: If it is negative or not finite.
     """
     if not 0 <= friction < np.inf:
         raise ValueError(f"a coefficient of friction must be finite and not negative: {friction}")
@@ -34,11 +34,11 @@ def elastic_slip(spring: PointField, way: Any, normal: Any, limit: Any) -> Any:
     See P. Wriggers, Computational Contact Mechanics, 2006, section 5.2.
 
     Args:
-        spring: spring before the step ``(d,)`` [m].
-        way: relative displacement of the point in the step ``(d,)`` [m]; its normal part is
+        spring: Spring before the step ``(d,)`` [m].
+        way: Relative displacement of the point in the step ``(d,)`` [m]; its normal part is
             ignored.
-        normal: normal of the surface ``(d,)`` [-].
-        limit: largest length of the spring that friction allows [m].
+        normal: Normal of the surface ``(d,)`` [-].
+        limit: Largest length of the spring that friction allows [m].
     """
     trial = spring + way
     trial -= ufl.dot(trial, normal) * normal

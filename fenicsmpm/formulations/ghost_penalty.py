@@ -32,16 +32,16 @@ def ghost_penalty(
     instead.
 
     Args:
-        z: unknown with the displacement increment u [m] and, if present, the pressure p [Pa].
-        cells: active cells of the body and of boundary points that carry loads.
-        law: constitutive law.
-        gamma: penalty factor [-]. Values of about 1 start to stiffen the body.
+        z: Unknown with the displacement increment u [m] and, if present, the pressure p [Pa].
+        cells: Active cells of the body and of boundary points that carry loads.
+        law: Constitutive law.
+        gamma: Penalty factor [-]. Values of about 1 start to stiffen the body.
 
     Returns:
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: if the factor is not positive, or the law has no shear modulus.
+        ValueError: If the factor is not positive, or the law has no shear modulus.
     """
     _check(gamma)
     z.require("u", of="the ghost penalty")
@@ -71,16 +71,16 @@ def ghost_mass(
     the points. ``cells.Tying`` also regularizes the mass matrix, and conserves energy.
 
     Args:
-        cells: active cells of the body.
-        scheme: time scheme that defines the acceleration a [m/s^2].
-        density: density of the undeformed body [kg/m^d].
-        gamma: penalty factor [-].
+        cells: Active cells of the body.
+        scheme: Time scheme that defines the acceleration a [m/s^2].
+        density: Density of the undeformed body [kg/m^d].
+        gamma: Penalty factor [-].
 
     Returns:
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: if the factor is not positive.
+        ValueError: If the factor is not positive.
     """
     _check(gamma)
     h, jump = jumps(cells.mesh)

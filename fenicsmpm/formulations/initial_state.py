@@ -17,7 +17,7 @@ def set_initial_state(
     density: npt.ArrayLike | OfPosition,
     velocity: npt.ArrayLike | OfPosition | None = None,
 ) -> None:
-    """Add the fields that any time loop needs to undeformed points (collective).
+    """Add the fields that any time loop needs to undeformed points. Collective.
 
     The fields are the mass "mass" [kg], the initial volume "V_0" [m^d], the deformation gradient
     "F" [-], its determinant "J" [-], the displacement "u" [m] and the velocity "v" [m/s]. If a
@@ -25,15 +25,15 @@ def set_initial_state(
     further fields that they need.
 
     Args:
-        points: the body, with its volumes as weights [m^d].
-        density: density [kg/m^d]: one number, an array ``(n,)`` with one value for each point of
+        points: The body, with its volumes as weights [m^d].
+        density: Density [kg/m^d]: one number, an array ``(n,)`` with one value for each point of
             this rank, or a function as in dolfinx, from positions ``(3, n)`` [m] to densities
             ``(n,)``.
-        velocity: initial velocity of all points ``(d,)`` [m/s], or a function as in dolfinx, from
+        velocity: Initial velocity of all points ``(d,)`` [m/s], or a function as in dolfinx, from
             positions ``(3, n)`` [m] to velocities ``(d, n)`` [m/s]. None for a body at rest.
 
     Raises:
-        ValueError: on all ranks, if densities are not positive and finite, or if densities or
+        ValueError: On all ranks, if densities are not positive and finite, or if densities or
             velocities have a wrong shape. After any error, including one raised by a given function
             on one rank, the points are unchanged.
     """
@@ -79,7 +79,7 @@ def _density(
 def _motion(
     velocity: npt.ArrayLike | OfPosition | None, points: MaterialPoints
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """Return velocity "v" and gradient "grad_v", for each point or for all points (collective)."""
+    """Return velocity "v" and gradient "grad_v", for each point or for all points. Collective."""
     dim = points.mesh.geometry.dim
     if callable(velocity):
         error, v = vectors_at(velocity, points.x)
@@ -97,7 +97,7 @@ def _motion(
 
 
 def _gradient(velocity: OfPosition, points: MaterialPoints, step: float) -> npt.NDArray[np.float64]:
-    """Return the ``(n, d, d)`` gradient at points by central differences (collective)."""
+    """Return the ``(n, d, d)`` gradient at points by central differences. Collective."""
     errors: list[Exception | None] = []
     gradient = np.empty((*points.x.shape, points.x.shape[1]))
     for k, e in enumerate(step * np.eye(points.x.shape[1])):
@@ -113,11 +113,11 @@ def require_initial_state(points: MaterialPoints, what: str) -> None:
     """Raise ValueError if points lack the fields of ``set_initial_state``.
 
     Args:
-        points: the body.
-        what: name of the feature that needs the fields, for the message.
+        points: The body.
+        what: Name of the feature that needs the fields, for the message.
 
     Raises:
-        ValueError: if a field is missing.
+        ValueError: If a field is missing.
     """
     missing = [name for name in ("F", "J", "mass", "V_0") if name not in points]
     if missing:

@@ -27,7 +27,7 @@ def initial_stress(
     material: Law | NeoHookean | NewtonianFlow | Callable[[Any], Any],
     sigma: npt.ArrayLike | OfPosition,
 ) -> None:
-    """Give a body the deformation that corresponds to an initial stress (collective).
+    """Give a body the deformation that corresponds to an initial stress. Collective.
 
     The current volumes and masses do not change. Each point gets the symmetric deformation gradient
     "F" with this Cauchy stress (including F33 in plane problems), its determinant "J", and V_0 =
@@ -40,16 +40,16 @@ def initial_stress(
     "Initial stress" in docs/howto/soil.md.
 
     Args:
-        points: the body, with the fields of ``set_initial_state``. If it has the state of a law,
+        points: The body, with the fields of ``set_initial_state``. If it has the state of a law,
             such as a preconsolidation pressure, this is the initial state.
-        material: law at points; ``NeoHookean``, incompressible or not; ``NewtonianFlow``, which
+        material: Law at points; ``NeoHookean``, incompressible or not; ``NewtonianFlow``, which
             gets the pressure only; or a UFL energy per initial volume ``psi(F)`` [J/m^3].
         sigma: Cauchy stress [Pa], positive in tension. Either ``(3, 3)`` for all points, also in
             plane problems, as sigma_zz matters, or a function as in dolfinx, from positions
             ``(3, n)`` [m] to stresses ``(3, 3, n)``, such as ``k0_state``.
 
     Raises:
-        ValueError: on all ranks, if the body lacks the fields of ``set_initial_state`` or already
+        ValueError: On all ranks, if the body lacks the fields of ``set_initial_state`` or already
             has an energy-conserving stress; if the stresses have a wrong shape, are not finite, are
             not symmetric, or have out-of-plane shear in two dimensions; or if the material cannot
             have them, for example outside the yield surface. The points are then unchanged.

@@ -44,18 +44,18 @@ def interior_penalty(
     their nodal values can oscillate.
 
     Args:
-        z: unknown with the pressure p [Pa].
-        cells: active cells of the body and of boundary points that carry loads.
-        law: constitutive law.
-        gamma: penalty factor [-]. Results hardly depend on it between 0.01 and 1.
-        scheme: time scheme, which adds inertia to tau_1 as in ``tau``, here with the mean density
-            of all bodies (collective). Use it for steps much shorter than h sqrt(rho / mu).
+        z: Unknown with the pressure p [Pa].
+        cells: Active cells of the body and of boundary points that carry loads.
+        law: Constitutive law.
+        gamma: Penalty factor [-]. Results hardly depend on it between 0.01 and 1.
+        scheme: Time scheme, which adds inertia to tau_1 as in ``tau``, here with the mean density
+            of all bodies. Collective. Use it for steps much shorter than h sqrt(rho / mu).
 
     Returns:
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: if the unknown has no linear pressure, the factor is not positive, there are no
+        ValueError: If the unknown has no linear pressure, the factor is not positive, there are no
             active cells, both law and scheme have inertia, or a scheme is given and a body lacks
             the fields of ``set_initial_state``.
     """
@@ -87,17 +87,17 @@ def hessian_penalty(
     integrated over the points.
 
     Args:
-        z: unknown with the pressure p [Pa].
-        points: material points that use splines.
-        law: constitutive law.
-        gamma: penalty factor [-].
-        scheme: time scheme, which adds inertia to tau_1; see ``tau``.
+        z: Unknown with the pressure p [Pa].
+        points: Material points that use splines.
+        law: Constitutive law.
+        gamma: Penalty factor [-].
+        scheme: Time scheme, which adds inertia to tau_1; see ``tau``.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if the unknown has no pressure, the factor is not positive, the functions of the
+        ValueError: If the unknown has no pressure, the factor is not positive, the functions of the
             points have no second derivatives, or both law and scheme have inertia.
     """
     _check(z, gamma, "the penalty on second derivatives")
@@ -112,11 +112,11 @@ def require_second_derivatives(points: MaterialPoints, what: str) -> None:
     """Raise ValueError if points do not use splines.
 
     Args:
-        points: the point set.
-        what: name of the feature that needs splines, for the message.
+        points: The point set.
+        what: Name of the feature that needs splines, for the message.
 
     Raises:
-        ValueError: if the functions of the points are not quadratic or cubic splines.
+        ValueError: If the functions of the points are not quadratic or cubic splines.
     """
     name = functions_of(points)
     if name not in ("quadratic", "cubic"):
@@ -134,7 +134,7 @@ def _check(z: Unknown, gamma: float, what: str) -> None:
 
 
 def _mean_density(cells: ActiveCells) -> float:
-    """Return mass over initial volume of all bodies [kg/m^d] (collective)."""
+    """Return mass over initial volume of all bodies [kg/m^d]. Collective."""
     for body in cells.bodies:
         require_initial_state(body, "the interior penalty with inertia")
     sums = np.sum([[np.sum(p["mass"]), np.sum(p["V_0"])] for p in cells.bodies], axis=0)

@@ -29,9 +29,9 @@ class AveragedJ(PointField):
     """Field "J_bar" of a body [-], which an explicit step updates by averages of J.
 
     Args:
-        points: the body, with the field "J". The fields "J_bar" and its initial value "J_0" are
+        points: The body, with the field "J". The fields "J_bar" and its initial value "J_0" are
             added with the values of J if missing.
-        averages: how J is averaged. None for J itself.
+        averages: How J is averaged. None for J itself.
     """
 
     def __init__(self, points: MaterialPoints, averages: FBar | None) -> None:
@@ -47,18 +47,18 @@ class CauchyStress(PointField):
     """Field "sigma" of a body ``(3, 3)`` [Pa], which an explicit step updates by a law at points.
 
     Args:
-        points: the body, with the fields of ``set_initial_state``. The fields "sigma", "J_bar" and
+        points: The body, with the fields of ``set_initial_state``. The fields "sigma", "J_bar" and
             those of the law's state are added if missing. The stress is then that of the current
             "F" and state.
-        law: constitutive law, of which only the parameters may change later.
-        averages: how J is averaged. None for J itself.
+        law: Constitutive law, of which only the parameters may change later.
+        averages: How J is averaged. None for J itself.
 
     Attributes:
-        law: constitutive law.
-        averages: how J is averaged, or None.
+        law: Constitutive law.
+        averages: How J is averaged, or None.
 
     Raises:
-        ValueError: if the body lacks the fields of ``set_initial_state``, or has a field with the
+        ValueError: If the body lacks the fields of ``set_initial_state``, or has a field with the
             name of a state field but another shape.
     """
 
@@ -94,12 +94,12 @@ def internal_force(
     ``F_bar = (J_bar / J)^(1/d) F`` (equation 18).
 
     Args:
-        w: test function of the velocity ``(d,)``.
-        points: the body, with the fields of ``set_initial_state`` and its current volumes as
+        w: Test function of the velocity ``(d,)``.
+        points: The body, with the fields of ``set_initial_state`` and its current volumes as
             weights [m^d].
-        material: law at points; ``NeoHookean``, which is converted to a law at points; or a UFL
+        material: Law at points; ``NeoHookean``, which is converted to a law at points; or a UFL
             energy per initial volume ``psi(F)`` [J/m^3], without state.
-        fbar: how J is averaged. None for no averages (standard MPM). By default, laws use
+        fbar: How J is averaged. None for no averages (standard MPM). By default, laws use
             ``default_fbar``, and a UFL energy uses no averages.
 
     Returns:
@@ -107,7 +107,7 @@ def internal_force(
         for a law at points, and the derivative of the energy otherwise.
 
     Raises:
-        ValueError: if the body lacks the fields of ``set_initial_state``, for the other reasons of
+        ValueError: If the body lacks the fields of ``set_initial_state``, for the other reasons of
             ``CauchyStress``, and for ``NeoHookean`` with nu = 0.5, which has no stress at a point.
     """
     if isinstance(material, NeoHookean):
@@ -131,7 +131,7 @@ def stress_work(sigma: Any, w: Any) -> Any:
 
     Args:
         sigma: Cauchy stress ``(3, 3)`` [Pa], UFL.
-        w: test function of the velocity ``(d,)``.
+        w: Test function of the velocity ``(d,)``.
     """
     return ufl.inner(sigma, embed(ufl.grad(w)))
 
@@ -140,15 +140,15 @@ def body_force(w: Any, points: MaterialPoints, b: Any) -> ufl.Form:
     """Return the load -(rho b, w) of a force per mass, such as gravity, over the current volumes.
 
     Args:
-        w: test function of the velocity ``(d,)``.
-        points: the body, with the field "mass" [kg].
-        b: force per mass ``(d,)`` [m/s^2]: numbers, a ``fem.Constant``, or a UFL vector.
+        w: Test function of the velocity ``(d,)``.
+        points: The body, with the field "mass" [kg].
+        b: Force per mass ``(d,)`` [m/s^2]: numbers, a ``fem.Constant``, or a UFL vector.
 
     Returns:
         UFL form of rank 1 over the points [N], to be added to the residual.
 
     Raises:
-        ValueError: if there are no masses, the numbers are not finite, or the shape is wrong.
+        ValueError: If there are no masses, the numbers are not finite, or the shape is wrong.
     """
     return force_work(points, force_per_mass(points, b), w) * points.dx
 
@@ -157,9 +157,9 @@ def force_work(points: MaterialPoints, b: Any, w: Any) -> Any:
     """Return the integrand of a force per mass, -rho b . w [N/m^d per velocity].
 
     Args:
-        points: the body, with the field "mass" [kg].
-        b: force per mass ``(d,)`` [m/s^2], UFL.
-        w: test function of the velocity ``(d,)``.
+        points: The body, with the field "mass" [kg].
+        b: Force per mass ``(d,)`` [m/s^2], UFL.
+        w: Test function of the velocity ``(d,)``.
     """
     return -density(points) * ufl.inner(b, w)
 
@@ -168,9 +168,9 @@ def stretched(F: Any, ratio: Any, dim: int) -> Any:
     """Return F scaled to a determinant that is larger by a ratio; plane strain keeps F33.
 
     Args:
-        F: deformation gradient ``(3, 3)``, UFL.
-        ratio: ratio of the determinants [-].
-        dim: space dimension, 2 or 3.
+        F: Deformation gradient ``(3, 3)``, UFL.
+        ratio: Ratio of the determinants [-].
+        dim: Space dimension, 2 or 3.
     """
     stretch = ratio ** (1 / dim)
     return ufl.as_tensor(
@@ -184,9 +184,9 @@ def drawn_J(points: MaterialPoints, f: Any, averages: FBar | None) -> Any:
     See ``FBar`` for the formula.
 
     Args:
-        points: the body, with the fields "F" and "J_bar".
-        f: incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
-        averages: how J is averaged, or None.
+        points: The body, with the fields "F" and "J_bar".
+        f: Incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
+        averages: How J is averaged, or None.
     """
     J = ufl.det(points.field("F"))
     if averages is None or averages.s == 0:
@@ -200,9 +200,9 @@ def averaged_J(points: MaterialPoints, f: Any, averages: FBar) -> Any:
     """Return the quantity that is averaged over the grid (F-bar, equations 19 to 21) [-].
 
     Args:
-        points: the body, with the fields "F", "J_bar" and "J_0".
-        f: incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
-        averages: how J is averaged.
+        points: The body, with the fields "F", "J_bar" and "J_0".
+        f: Incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
+        averages: How J is averaged.
 
     Returns:
         Quantity per volume before the step, relative to "J_0" as the averages of ``FBar``, UFL.
@@ -215,10 +215,10 @@ def moved_F(points: MaterialPoints, f: Any, averages: FBar | None, is_fluid: boo
     """Return the deformation gradient after a step ``(3, 3)`` (F-bar, equation 14).
 
     Args:
-        points: the body, with the fields "F" and "J_bar".
-        f: incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
-        averages: how J is averaged, or None.
-        is_fluid: whether only the determinant of F is kept.
+        points: The body, with the fields "F" and "J_bar".
+        f: Incremental deformation gradient, I + dt grad v, ``(d, d)``, UFL.
+        averages: How J is averaged, or None.
+        is_fluid: Whether only the determinant of F is kept.
     """
     F, dim = points.field("F"), f.ufl_shape[0]
     J = drawn_J(points, f, averages)

@@ -32,21 +32,21 @@ def k0_state(
     effective stresses, give the layers and the body their buoyant densities.
 
     Args:
-        tops: height of the top of each layer [m], from the surface downwards.
-        densities: density of each layer [kg/m^3]. Below the water table it includes the pore water.
-        K0: coefficient of earth pressure at rest of each layer [-]. A number applies to all layers.
-        gravity: gravitational acceleration [m/s^2], which acts downwards.
-        water_table: height of the water table [m], at or below the surface. None if there is no
+        tops: Height of the top of each layer [m], from the surface downwards.
+        densities: Density of each layer [kg/m^3]. Below the water table it includes the pore water.
+        K0: Coefficient of earth pressure at rest of each layer [-]. A number applies to all layers.
+        gravity: Gravitational acceleration [m/s^2], which acts downwards.
+        water_table: Height of the water table [m], at or below the surface. None if there is no
             water.
-        water_density: density of the water [kg/m^3].
-        axis: vertical axis, 1 for y (in plane problems) or 2 for z.
+        water_density: Density of the water [kg/m^3].
+        axis: Vertical axis, 1 for y (in plane problems) or 2 for z.
 
     Returns:
         Function from positions ``(3, n)`` [m] to stresses ``(3, 3, n)`` [Pa]. It raises ValueError
         for positions above the surface.
 
     Raises:
-        ValueError: if the layers are not ordered from the surface downwards, the numbers of values
+        ValueError: If the layers are not ordered from the surface downwards, the numbers of values
             differ, densities are not positive and finite, or K0 is negative or not finite.
     """
     top = np.atleast_1d(finite(tops, "tops of layers"))

@@ -19,7 +19,7 @@ def embed(A: Any) -> Any:
     """Return the 3x3 tensor whose leading block is the given one, with zeros elsewhere.
 
     Args:
-        A: tensor ``(2, 2)`` or ``(3, 3)``, UFL.
+        A: Tensor ``(2, 2)`` or ``(3, 3)``, UFL.
     """
     if A.ufl_shape == (3, 3):
         return A
@@ -32,7 +32,7 @@ def gradient_before(points: MaterialPoints) -> Any:
     It is the field "F" of the points, or the identity if they have no such field.
 
     Args:
-        points: the point set.
+        points: The point set.
     """
     return points.field("F") if "F" in points else ufl.Identity(3)
 
@@ -41,18 +41,18 @@ class Kinematics:
     """Deformation of the points in a step, as UFL expressions.
 
     Args:
-        u: displacement increment of the step ``(d,)`` [m].
-        points: material points. Their field "F" ``(3, 3)`` is the deformation gradient at the start
+        u: Displacement increment of the step ``(d,)`` [m].
+        points: Material points. Their field "F" ``(3, 3)`` is the deformation gradient at the start
             of the step. Points without this field are undeformed.
 
     Attributes:
-        points: the material points.
-        u: displacement increment of the step ``(d,)`` [m].
-        f: incremental deformation gradient I + grad(u), ``(d, d)`` [-].
-        j: det f, the ratio of the volumes V_{n+1} / V_n [-].
-        F: deformation gradient f F_n, ``(3, 3)`` [-].
-        J: det F [-].
-        J_n: det F_n, the ratio of the volumes V_n / V_0 [-].
+        points: The material points.
+        u: Displacement increment of the step ``(d,)`` [m].
+        f: Incremental deformation gradient I + grad(u), ``(d, d)`` [-].
+        j: Det f, the ratio of the volumes V_{n+1} / V_n [-].
+        F: Deformation gradient f F_n, ``(3, 3)`` [-].
+        J: Det F [-].
+        J_n: Det F_n, the ratio of the volumes V_n / V_0 [-].
     """
 
     def __init__(self, u: Any, points: MaterialPoints) -> None:
@@ -82,7 +82,7 @@ class Kinematics:
         """Return the spatial gradient of a function on the background mesh, UFL.
 
         Args:
-            g: scalar or vector on the background mesh, UFL.
+            g: Scalar or vector on the background mesh, UFL.
         """
         return ufl.dot(ufl.grad(g), ufl.inv(self.f))
 
@@ -90,6 +90,6 @@ class Kinematics:
         """Return the spatial divergence of a vector on the background mesh, UFL.
 
         Args:
-            w: vector ``(d,)`` on the background mesh, UFL.
+            w: Vector ``(d,)`` on the background mesh, UFL.
         """
         return ufl.tr(self.grad(w))

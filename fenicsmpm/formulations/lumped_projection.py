@@ -39,20 +39,20 @@ class LumpedProjection(fem.Function):
     is zero at nodes without points.
 
     Args:
-        points: material points with the volumes V_p as weights [m^d].
-        expression: scalar or vector f, UFL, which may contain the unknown and fields of the points.
+        points: Material points with the volumes V_p as weights [m^d].
+        expression: Scalar or vector f, UFL, which may contain the unknown and fields of the points.
 
     Attributes:
-        points: the material points.
+        points: The material points.
         sums: UFL form of rank 1 for the sums in the numerator.
-        is_held: whether assembly leaves the values unchanged.
+        is_held: Whether assembly leaves the values unchanged.
 
     Raises:
-        ValueError: if f is a tensor or contains another projection.
+        ValueError: If f is a tensor or contains another projection.
     """
 
     def __init__(self, points: MaterialPoints, expression: Any) -> None:
-        """Compile the form of the sums (collective)."""
+        """Compile the form of the sums. Collective."""
         expression = ufl.as_ufl(expression)
         shape = expression.ufl_shape
         if len(shape) > 1:
@@ -76,7 +76,7 @@ class LumpedProjection(fem.Function):
         self._weights: npt.NDArray[np.float64] = np.empty(0)
 
     def volumes(self) -> la.Vector:
-        """Return the volumes at the nodes, sum_p N_I(x_p) V_p [m^d] (collective)."""
+        """Return the volumes at the nodes, sum_p N_I(x_p) V_p [m^d]. Collective."""
         points = self.points
         known = self._volumes is not None and self._version == points.version
         is_same = known and np.array_equal(self._weights, points.weight)
@@ -88,7 +88,7 @@ class LumpedProjection(fem.Function):
         return self._volumes
 
     def follow_points(self) -> None:
-        """Update the projection unless it is held; forms call this before each use (collective)."""
+        """Update the projection unless it is held; forms call this before each use. Collective."""
         if self.is_held:
             return
         sums = forms.assemble_vector(self._compiled)

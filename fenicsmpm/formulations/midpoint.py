@@ -26,20 +26,20 @@ class Midpoint(TimeScheme):
     stresses at the full U, as in ``mixed``, the method is of first order and strongly dissipative.
 
     Args:
-        unknown: unknown with a part that moves the points, the displacement increment u [m].
-        dt: time step [s].
-        flip: share of FLIP in the velocity update [-], from 0 (PIC, equation 28) to 1 (FLIP,
+        unknown: Unknown with a part that moves the points, the displacement increment u [m].
+        dt: Time step [s].
+        flip: Share of FLIP in the velocity update [-], from 0 (PIC, equation 28) to 1 (FLIP,
             equation 29).
-        lumping: share epsilon of the lumped mass [-].
+        lumping: Share epsilon of the lumped mass [-].
 
     Attributes:
-        dt: length of the current step [s], a constant that the time loop sets.
-        histories: grid functions of the fields that are mapped from the points, by field name.
-        increment: displacement increment u of the step ``(d,)`` [m], UFL.
-        acceleration: acceleration at the middle of the step ``(d,)`` [m/s^2], UFL.
+        dt: Length of the current step [s], a constant that the time loop sets.
+        histories: Grid functions of the fields that are mapped from the points, by field name.
+        increment: Displacement increment u of the step ``(d,)`` [m], UFL.
+        acceleration: Acceleration at the middle of the step ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: if the time step is not positive and finite, a share lies outside [0, 1], or no
+        ValueError: If the time step is not positive and finite, a share lies outside [0, 1], or no
             part of the unknown moves the points.
     """
 
@@ -61,7 +61,7 @@ class Midpoint(TimeScheme):
         Velocities are mapped to the grid with the same mass.
 
         Args:
-            points: the body, with the field "mass" [kg].
+            points: The body, with the field "mass" [kg].
 
         Returns:
             UFL form of rank 1 over the points.
@@ -77,13 +77,13 @@ class Midpoint(TimeScheme):
         """Return the inertia (rho a, w) with the lumped mass of the points; needs lumping = 1.
 
         Args:
-            points: the body, with the field "mass" [kg].
+            points: The body, with the field "mass" [kg].
 
         Returns:
             UFL form of rank 1 over the points.
 
         Raises:
-            ValueError: if lumping < 1, because velocities are then mapped with another mass, or if
+            ValueError: If lumping < 1, because velocities are then mapped with another mass, or if
                 the functions of the motion are not linear.
         """
         if self.lumping < 1:
@@ -104,7 +104,7 @@ class Midpoint(TimeScheme):
         """Return the value of a history at the middle of the step, UFL.
 
         Args:
-            part: name of the history.
+            part: Name of the history.
         """
         return (getattr(self.unknown.old, part) + getattr(self.unknown, part)) / 2
 
@@ -125,7 +125,7 @@ class Midpoint(TimeScheme):
         """Return the new values of the point fields, as UFL over the points.
 
         Args:
-            points: the body.
+            points: The body.
         """
         change = self._velocity - self.histories["v"]
         velocity = self.flip * (points.field("v") + change) + (1 - self.flip) * self._velocity

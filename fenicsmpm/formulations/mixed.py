@@ -16,7 +16,7 @@ class MixedLaw(Protocol):
     """Interface of materials for the mixed formulation and its stabilizations.
 
     Attributes:
-        inverse_kappa: inverse of the bulk modulus [1/Pa], zero for incompressible materials.
+        inverse_kappa: Inverse of the bulk modulus [1/Pa], zero for incompressible materials.
     """
 
     inverse_kappa: float
@@ -25,32 +25,32 @@ class MixedLaw(Protocol):
         """Return the virtual work of the deviatoric stress per volume V_n [J/m^3], UFL.
 
         Args:
-            k: kinematics of the step.
-            U: function of the whole unknown.
-            V: its variation.
+            k: Kinematics of the step.
+            U: Function of the whole unknown.
+            V: Its variation.
         """
 
     def volumetric_residual(self, p: Any, k: Kinematics) -> Any:
         """Return the residual of the volumetric law, per volume V_n [-], UFL.
 
         Args:
-            p: pressure [Pa], positive in tension.
-            k: kinematics of the step.
+            p: Pressure [Pa], positive in tension.
+            k: Kinematics of the step.
         """
 
     def modulus(self, h_squared: Any) -> Any:
         """Return the shear modulus [Pa] that represents the resistance of a cell of size h.
 
         Args:
-            h_squared: square of the cell size [m^2].
+            h_squared: Square of the cell size [m^2].
         """
 
     def subscale_modulus(self, points: MaterialPoints, h_squared: Any) -> Any:
         """Return the modulus tau_2 / 2 [Pa] by which subscales resist their volumetric residual.
 
         Args:
-            points: the material points.
-            h_squared: square of the cell size [m^2].
+            points: The material points.
+            h_squared: Square of the cell size [m^2].
         """
 
 
@@ -68,18 +68,18 @@ def mixed(
     residual is U'(J)/kappa - p/kappa.
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa] (mean stress,
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa] (mean stress,
             positive in tension).
-        points: material points with the volumes V_n as weights [m^d].
+        points: Material points with the volumes V_n as weights [m^d].
         law: ``NeoHookean``, ``NewtonianFlow``, or another ``MixedLaw``.
-        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+        force: Body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
             none.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if the unknown has no part u or p.
+        ValueError: If the unknown has no part u or p.
     """
     z.require("u", "p", of="the mixed formulation")
     k = Kinematics(z.u, points)

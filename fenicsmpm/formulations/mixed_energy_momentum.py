@@ -46,18 +46,18 @@ class MixedEnergyMomentum(EnergyMomentum):
     Args:
         law: neo-Hookean law with volumetric="quadratic", whose p is linear in J. For nu = 0.5 any
             neo-Hookean law will do.
-        points: the body, with the fields of ``set_initial_state``.
-        z: unknown with the displacement increment u [m] and the pressure p of the step [Pa].
-        alpha: stabilization factor [-]. None for 1 with linear functions, or 0.025 with splines.
+        points: The body, with the fields of ``set_initial_state``.
+        z: Unknown with the displacement increment u [m] and the pressure p of the step [Pa].
+        alpha: Stabilization factor [-]. None for 1 with linear functions, or 0.025 with splines.
 
     Attributes:
-        algorithmic_stress: the stress S above ``(3, 3)`` [Pa], UFL.
-        updates: new values of the point fields after a step, which time loops find and apply. These
+        algorithmic_stress: The stress S above ``(3, 3)`` [Pa], UFL.
+        updates: New values of the point fields after a step, which time loops find and apply. These
             are "theta" [-], "r" [Pa] (initially zero) and the fields of the isochoric part. P, S
             and work belong to the isochoric part only.
 
     Raises:
-        ValueError: if the unknown has no pressure, the volumetric law is another one, alpha is
+        ValueError: If the unknown has no pressure, the volumetric law is another one, alpha is
             negative or not finite, alpha is not zero with uGIMP, or the points already have a field
             "theta" or "r".
     """
@@ -127,7 +127,7 @@ class MixedEnergyMomentum(EnergyMomentum):
         return f - ufl.cell_avg(f)
 
     def volumetric_energy(self) -> float:
-        """Return the energy of volumetric strain and stabilization [J] (collective)."""
+        """Return the energy of volumetric strain and stabilization [J]. Collective."""
         points, law = self._points, self._law
         psi = np.zeros(len(points))
         if law.inverse_kappa > 0:

@@ -26,20 +26,20 @@ class Newmark(TimeScheme):
     weakly stable: pressures alternate and the energy grows. Use ``GeneralizedAlpha`` in this case.
 
     Args:
-        unknown: unknown with a part that moves the points, the displacement increment u [m].
-        dt: time step [s].
-        beta: parameter [-], positive.
-        gamma: parameter [-], at least 0.5.
-        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP, trapezoidal).
+        unknown: Unknown with a part that moves the points, the displacement increment u [m].
+        dt: Time step [s].
+        beta: Parameter [-], positive.
+        gamma: Parameter [-], at least 0.5.
+        flip: Share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP, trapezoidal).
 
     Attributes:
-        dt: length of the current step [s], a constant that the time loop sets.
-        histories: grid functions of the fields that are mapped from the points, by field name.
-        increment: displacement increment of the whole step, u_{n+1} - u_n ``(d,)`` [m], UFL.
-        acceleration: acceleration in the inertia term ``(d,)`` [m/s^2], UFL.
+        dt: Length of the current step [s], a constant that the time loop sets.
+        histories: Grid functions of the fields that are mapped from the points, by field name.
+        increment: Displacement increment of the whole step, u_{n+1} - u_n ``(d,)`` [m], UFL.
+        acceleration: Acceleration in the inertia term ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: if the time step is not positive and finite, a parameter is out of range, or no
+        ValueError: If the time step is not positive and finite, a parameter is out of range, or no
             part of the unknown moves the points.
     """
 
@@ -109,7 +109,7 @@ class Newmark(TimeScheme):
         """Return the new values of the point fields, as UFL over the points.
 
         Args:
-            points: the body.
+            points: The body.
         """
         flip = points.field("v") + self._velocity_change(points.field("a"))
         velocity = self.flip * flip + (1 - self.flip) * self.grid_velocity()
@@ -145,15 +145,15 @@ class GeneralizedAlpha(Newmark):
     and the pressure at that time. Inertia is evaluated at n + 1 - alpha_m.
 
     Args:
-        unknown: unknown with a part that moves the points, the displacement increment u [m] until n
+        unknown: Unknown with a part that moves the points, the displacement increment u [m] until n
             + 1 - alpha_f.
-        dt: time step [s].
-        rho_inf: spectral radius at infinite frequency [-], from 0 to 1. Smaller values dissipate
+        dt: Time step [s].
+        rho_inf: Spectral radius at infinite frequency [-], from 0 to 1. Smaller values dissipate
             more.
-        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
+        flip: Share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
 
     Raises:
-        ValueError: if the spectral radius lies outside [0, 1], or for the reasons of ``Newmark``.
+        ValueError: If the spectral radius lies outside [0, 1], or for the reasons of ``Newmark``.
     """
 
     def __init__(

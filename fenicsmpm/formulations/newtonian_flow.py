@@ -35,18 +35,18 @@ class NewtonianFlow:
     become disordered.
 
     Args:
-        mu: dynamic viscosity [Pa s], positive.
-        density: density [kg/m^d], positive.
-        scheme: time scheme of the unknown.
-        correction: share of the accumulated volume error that one step corrects [-], whatever its
+        mu: Dynamic viscosity [Pa s], positive.
+        density: Density [kg/m^d], positive.
+        scheme: Time scheme of the unknown.
+        correction: Share of the accumulated volume error that one step corrects [-], whatever its
             length. A fluid alone needs no correction. Next to a solid, it compensates the volume
             errors of the solid.
 
     Attributes:
-        inverse_kappa: inverse of the bulk modulus [1/Pa], zero.
+        inverse_kappa: Inverse of the bulk modulus [1/Pa], zero.
 
     Raises:
-        ValueError: if a parameter is out of range.
+        ValueError: If a parameter is out of range.
     """
 
     inverse_kappa = 0.0
@@ -66,12 +66,12 @@ class NewtonianFlow:
         """Return the virtual work of the viscous stress per volume V_n [J/m^3], UFL.
 
         Args:
-            k: kinematics of the step.
-            U: function of the whole unknown.
-            V: its variation.
+            k: Kinematics of the step.
+            U: Function of the whole unknown.
+            V: Its variation.
 
         Raises:
-            ValueError: if the unknown is not that of the time scheme.
+            ValueError: If the unknown is not that of the time scheme.
         """
         if U is not self.scheme.unknown.U:
             raise ValueError(
@@ -86,11 +86,11 @@ class NewtonianFlow:
         """Return the volume change of the whole step plus a share of earlier errors [-], UFL.
 
         Args:
-            p: pressure [Pa], which an incompressible fluid does not need here.
-            k: kinematics of the step.
+            p: Pressure [Pa], which an incompressible fluid does not need here.
+            k: Kinematics of the step.
 
         Raises:
-            ValueError: on all ranks, if the density of a point differs from that of the fluid.
+            ValueError: On all ranks, if the density of a point differs from that of the fluid.
         """
         change = Kinematics(self.scheme.increment, k.points).j - 1
         correction = fem.Constant(k.points.mesh, float(self.correction))
@@ -100,7 +100,7 @@ class NewtonianFlow:
         """Return the shear modulus [Pa] equivalent to viscosity and inertia in cells of size h.
 
         Args:
-            h_squared: square of the cell size [m^2].
+            h_squared: Square of the cell size [m^2].
         """
         velocity, acceleration = self.scheme.rates
         return self.mu * velocity + self.density * acceleration * h_squared / 2
@@ -109,8 +109,8 @@ class NewtonianFlow:
         """Return the shear modulus [Pa] equivalent to viscosity, motion and pressure in a cell.
 
         Args:
-            points: the fluid, with the field "v". A missing field "p" is added.
-            h_squared: square of the cell size [m^2].
+            points: The fluid, with the field "v". A missing field "p" is added.
+            h_squared: Square of the cell size [m^2].
         """
         if "p" not in points:
             points.add_field("p")
@@ -119,7 +119,7 @@ class NewtonianFlow:
         return (self.mu + self.density * ufl.sqrt(squared * h_squared) / 2) * self.scheme.rates[0]
 
     def _dilation(self, points: MaterialPoints) -> PointField:
-        """Return the sum of det f - 1 so far; its renewal keeps the point volumes (collective)."""
+        """Return the sum of det f - 1 so far; its renewal keeps the point volumes. Collective."""
         found = points["mass"] / points["V_0"]
         wrong = found[~(np.abs(found / self.density - 1) < _SAME)]
         error = (

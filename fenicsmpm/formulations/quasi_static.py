@@ -20,16 +20,16 @@ class QuasiStatic(TimeScheme):
     ``ImplicitMPM.run`` shortens steps that fail and may lengthen steps that converge quickly.
 
     Args:
-        unknown: unknown with a part that moves the points, the displacement increment u [m].
-        dt: load step, in units of the time that controls the loads [s].
+        unknown: Unknown with a part that moves the points, the displacement increment u [m].
+        dt: Load step, in units of the time that controls the loads [s].
 
     Attributes:
-        dt: length of the current step [s], a constant that the time loop sets.
-        increment: displacement increment u of the step ``(d,)`` [m], UFL.
-        acceleration: zero ``(d,)`` [m/s^2], UFL.
+        dt: Length of the current step [s], a constant that the time loop sets.
+        increment: Displacement increment u of the step ``(d,)`` [m], UFL.
+        acceleration: Zero ``(d,)`` [m/s^2], UFL.
 
     Raises:
-        ValueError: if the step is not positive and finite, or no part of the unknown moves the
+        ValueError: If the step is not positive and finite, or no part of the unknown moves the
             points.
     """
 
@@ -56,7 +56,7 @@ class QuasiStatic(TimeScheme):
         """Return the new values of the point fields, as UFL over the points.
 
         Args:
-            points: the body.
+            points: The body.
         """
         return {"v": self.grid_velocity()}
 

@@ -27,22 +27,22 @@ class Response:
     """Stress and work of a material as UFL over the points.
 
     Args:
-        material: law at points, or UFL energy per initial volume ``psi(F)`` [J/m^3]. If a law has
+        material: Law at points, or UFL energy per initial volume ``psi(F)`` [J/m^3]. If a law has
             no tangent, it is computed by finite differences of the stress.
-        points: the body. The state of the law is stored in fields of the same names, which are
+        points: The body. The state of the law is stored in fields of the same names, which are
             added if missing.
-        F: deformation gradient ``(3, 3)``, UFL. For a law with a state it must be the one at the
+        F: Deformation gradient ``(3, 3)``, UFL. For a law with a state it must be the one at the
             end of the step, where the state is computed. It must not be the one at the middle of
             the step or at the intermediate time of generalized-alpha.
 
     Attributes:
-        F: the deformation gradient ``(3, 3)``, UFL.
-        P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL.
-        updates: new values of the state fields after a step that ends with F. Time loops find and
+        F: The deformation gradient ``(3, 3)``, UFL.
+        P: First Piola-Kirchhoff stress ``(3, 3)`` [Pa], UFL.
+        updates: New values of the state fields after a step that ends with F. Time loops find and
             apply them.
 
     Raises:
-        ValueError: if the law depends on velocities.
+        ValueError: If the law depends on velocities.
     """
 
     def __init__(self, material: Law | Energy, points: MaterialPoints, F: Any) -> None:
@@ -79,7 +79,7 @@ class Response:
         """Free energy plus dissipated work, per initial volume [J/m^3], UFL.
 
         Raises:
-            ValueError: if the law has no energy.
+            ValueError: If the law has no energy.
         """
         if self._work is None:
             raise ValueError(

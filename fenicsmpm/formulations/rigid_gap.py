@@ -26,19 +26,19 @@ class RigidGap:
     tangent without the curvature of the surface.
 
     Args:
-        points: points that may touch the body.
-        u: displacement increment of the points ``(d,)`` [m], UFL.
-        rigid: the rigid body.
+        points: Points that may touch the body.
+        u: Displacement increment of the points ``(d,)`` [m], UFL.
+        rigid: The rigid body.
 
     Attributes:
-        way: displacement of the body's material below each point in the step ``(d,)`` [m], UFL.
+        way: Displacement of the body's material below each point in the step ``(d,)`` [m], UFL.
 
     Raises:
-        ValueError: if rigid body and mesh have different dimensions.
+        ValueError: If rigid body and mesh have different dimensions.
     """
 
     def __init__(self, points: MaterialPoints, u: Any, rigid: RigidBody) -> None:
-        """Compile the new positions of the points (collective)."""
+        """Compile the new positions of the points. Collective."""
         dim = points.mesh.geometry.dim
         if rigid.dim != dim:
             raise ValueError(
@@ -54,7 +54,7 @@ class RigidGap:
         """Return the distance [m], UFL, at a place close to where it was computed.
 
         Args:
-            place: position ``(d,)`` [m], UFL.
+            place: Position ``(d,)`` [m], UFL.
         """
         return self._distance + ufl.dot(self._normal, place - self._found_at)
 

@@ -32,16 +32,16 @@ def ppp(z: Unknown, points: MaterialPoints, law: MixedLaw, *, alpha: float = 1.0
     cell.
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: material points.
-        law: constitutive law.
-        alpha: stabilization factor [-].
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Material points.
+        law: Constitutive law.
+        alpha: Stabilization factor [-].
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if the points use quadratic splines or uGIMP.
+        ValueError: If the points use quadratic splines or uGIMP.
     """
     z.require("u", "p", of="PPP")
     name = functions_of(points)
@@ -72,20 +72,20 @@ def asgs(
     tetrahedra.
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: material points with the volumes V_n as weights [m^d].
-        law: constitutive law.
-        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Material points with the volumes V_n as weights [m^d].
+        law: Constitutive law.
+        force: Body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
             none.
-        c1: constant of tau_1 [-].
-        c2: constant of tau_2 [-].
-        scheme: time scheme, for subscales with inertia; see ``tau``.
+        c1: Constant of tau_1 [-].
+        c2: Constant of tau_2 [-].
+        scheme: Time scheme, for subscales with inertia; see ``tau``.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if the points use functions that are not linear, or both law and scheme have
+        ValueError: If the points use functions that are not linear, or both law and scheme have
             inertia.
     """
     R_u, R_p = residuals(z, points, law, force)
@@ -109,20 +109,20 @@ def osgs(
     iteration.
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: material points with the volumes V_n as weights [m^d].
-        law: constitutive law.
-        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Material points with the volumes V_n as weights [m^d].
+        law: Constitutive law.
+        force: Body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
             none.
-        c1: constant of tau_1 [-].
-        c2: constant of tau_2 [-].
-        scheme: time scheme, for subscales with inertia; see ``tau``.
+        c1: Constant of tau_1 [-].
+        c2: Constant of tau_2 [-].
+        scheme: Time scheme, for subscales with inertia; see ``tau``.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if a part has nodes other than the vertices, the points use functions that are
+        ValueError: If a part has nodes other than the vertices, the points use functions that are
             not linear, or both law and scheme have inertia.
     """
     z.require_linear("OSGS")
@@ -146,17 +146,17 @@ def split_osgs(
     needs no residual, so it is consistent for functions of any smoothness.
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: material points with the volumes V_n as weights [m^d].
-        law: constitutive law.
-        c1: constant of tau_1 [-].
-        scheme: time scheme, for subscales with inertia; see ``tau``.
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Material points with the volumes V_n as weights [m^d].
+        law: Constitutive law.
+        c1: Constant of tau_1 [-].
+        scheme: Time scheme, for subscales with inertia; see ``tau``.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if a part has nodes other than the vertices, or both law and scheme have
+        ValueError: If a part has nodes other than the vertices, or both law and scheme have
             inertia.
     """
     z.require("u", "p", of="split OSGS")
@@ -183,20 +183,20 @@ def stabilized(
     Args:
         name: "none", "ppp", "asgs", "osgs", "split_osgs", "cip" (``interior_penalty``) or "hessian"
             (``hessian_penalty``).
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: material points with the volumes V_n as weights [m^d].
-        law: constitutive law.
-        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Material points with the volumes V_n as weights [m^d].
+        law: Constitutive law.
+        force: Body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
             none.
-        scheme: time scheme, which adds inertia to tau_1; see ``tau``.
-        cells: active cells of the body and of loads, for "cip". If several bodies share these
+        scheme: Time scheme, which adds inertia to tau_1; see ``tau``.
+        cells: Active cells of the body and of loads, for "cip". If several bodies share these
             cells, add ``mixed`` for each body and ``interior_penalty`` once.
 
     Returns:
         UFL form of rank 1.
 
     Raises:
-        ValueError: if the name is unknown, or the stabilization does not suit the functions of the
+        ValueError: If the name is unknown, or the stabilization does not suit the functions of the
             points; see the function of that stabilization.
     """
     R = mixed(z, points, law, force=force)
@@ -227,10 +227,10 @@ def residuals(
     for experiments, but there the neglected term adds an error.
 
     Args:
-        z: unknown with the displacement increment u [m] and the pressure p [Pa].
-        points: material points.
-        law: constitutive law.
-        force: body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
+        z: Unknown with the displacement increment u [m] and the pressure p [Pa].
+        points: Material points.
+        law: Constitutive law.
+        force: Body force per volume at the start of the step, rho_n b ``(d,)`` [N/m^d]. None for
             none.
 
     Returns:
@@ -238,7 +238,7 @@ def residuals(
         and the residual of the volumetric law [-], U'(J)/kappa - p/kappa for a solid.
 
     Raises:
-        ValueError: if the points use smooth functions, for which the neglected term is not small.
+        ValueError: If the points use smooth functions, for which the neglected term is not small.
     """
     z.require("u", "p", of="stabilization by residuals")
     name = functions_of(points)

@@ -18,7 +18,7 @@ def element_size(points: MaterialPoints) -> Any:
     See VMS, below equation 21.
 
     Args:
-        points: material points.
+        points: Material points.
     """
     return _cell_volume(points) ** (1 / points.mesh.geometry.dim)
 
@@ -41,11 +41,11 @@ def tau(
     r_a u is the change of acceleration in a step.
 
     Args:
-        points: material points.
-        law: constitutive law.
-        c1: algorithmic constant of tau_1 [-].
-        c2: algorithmic constant of tau_2 [-].
-        scheme: time scheme, for subscales with inertia. None for subscales without inertia as in
+        points: Material points.
+        law: Constitutive law.
+        c1: Algorithmic constant of tau_1 [-].
+        c2: Algorithmic constant of tau_2 [-].
+        scheme: Time scheme, for subscales with inertia. None for subscales without inertia as in
             VMS, and for a law that includes inertia itself (``NewtonianFlow``).
 
     Returns:
@@ -53,7 +53,7 @@ def tau(
         is the respective modulus of the law.
 
     Raises:
-        ValueError: if a scheme is given for a law that includes inertia itself.
+        ValueError: If a scheme is given for a law that includes inertia itself.
     """
     h_squared = squared_size(points)
     mu = modulus(law, h_squared, scheme, density(points) if scheme is not None else None, c1)
@@ -66,14 +66,14 @@ def modulus(
     """Return the shear modulus mu [Pa] of tau_1 = c1 h^2 / (2 mu), optionally with inertia.
 
     Args:
-        law: constitutive law.
-        h_squared: square of the cell size [m^2].
-        scheme: time scheme, for a modulus with inertia. None for subscales without inertia.
-        rho: density [kg/m^d]. Needed with a scheme only.
-        c1: constant of tau_1 [-].
+        law: Constitutive law.
+        h_squared: Square of the cell size [m^2].
+        scheme: Time scheme, for a modulus with inertia. None for subscales without inertia.
+        rho: Density [kg/m^d]. Needed with a scheme only.
+        c1: Constant of tau_1 [-].
 
     Raises:
-        ValueError: if a scheme is given for a law that includes inertia itself.
+        ValueError: If a scheme is given for a law that includes inertia itself.
     """
     mu = law.modulus(h_squared)
     if scheme is None:
@@ -87,6 +87,6 @@ def squared_size(points: MaterialPoints) -> Any:
     """Return the square of the cell size h^2 [m^2].
 
     Args:
-        points: material points.
+        points: Material points.
     """
     return _cell_volume(points) ** (2 / points.mesh.geometry.dim)

@@ -37,23 +37,23 @@ class SurfaceGap:
     A point that lies beside the other surface by more than the spacing of its points has no gap.
 
     Args:
-        z: unknown of the first body, with the displacement increment u [m].
-        points: boundary points of the first body with initial areas as weights [m^(d-1)].
-        other: unknown of the second body, coupled to the first one.
-        surface: boundary points of the second body with initial areas as weights [m^(d-1)] and
+        z: Unknown of the first body, with the displacement increment u [m].
+        points: Boundary points of the first body with initial areas as weights [m^(d-1)].
+        other: Unknown of the second body, coupled to the first one.
+        surface: Boundary points of the second body with initial areas as weights [m^(d-1)] and
             outer normals. Their spacing should be several times smaller than the cells. Time loops
             update the normals. Both point sets must be among the ``carried`` points.
 
     Attributes:
-        points: boundary points of the first body.
-        normal: normal n of the surface of the second body ``(d,)`` [-], UFL.
-        way: displacement of the first body relative to the second one in the step ``(d,)`` [m],
+        points: Boundary points of the first body.
+        normal: Normal n of the surface of the second body ``(d,)`` [-], UFL.
+        way: Displacement of the first body relative to the second one in the step ``(d,)`` [m],
             UFL.
-        gap: gap after the motion [m], UFL, negative where the bodies overlap.
-        test: difference of the test functions ``(d,)``, UFL.
+        gap: Gap after the motion [m], UFL, negative where the bodies overlap.
+        test: Difference of the test functions ``(d,)``, UFL.
 
     Raises:
-        ValueError: if the unknowns are the same or not coupled, the point sets are the same or
+        ValueError: If the unknowns are the same or not coupled, the point sets are the same or
             empty, the surface has no normals or normals of length zero, or the bodies overlap by
             more than a cell.
     """
@@ -61,7 +61,7 @@ class SurfaceGap:
     def __init__(
         self, z: Unknown, points: MaterialPoints, other: Unknown, surface: MaterialPoints
     ) -> None:
-        """Compute the gaps of the points at their current positions (collective)."""
+        """Compute the gaps of the points at their current positions. Collective."""
         if z is other or points is surface:
             raise ValueError(
                 "a contact of a body with itself: give two bodies, each with its own unknown from "
@@ -104,7 +104,7 @@ class SurfaceGap:
         self._require_no_overlap()
 
     def least(self) -> float:
-        """Return the smallest gap at the current positions [m] (collective).
+        """Return the smallest gap at the current positions [m]. Collective.
 
         The result is infinite if no point has a gap.
         """
@@ -122,7 +122,7 @@ class SurfaceGap:
         return self._values[name]
 
     def _update(self) -> None:
-        """Compute gaps and normals at the start of a step (collective)."""
+        """Compute gaps and normals at the start of a step. Collective."""
         comm, points = self.points.mesh.comm, self.points
         versions = points.version, self._surface.version
         if not comm.allreduce(versions != self._known, MPI.LOR):
@@ -140,7 +140,7 @@ class SurfaceGap:
         self._values = {"gap": gap, "normal": normals}
 
     def _surface_near(self, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
-        """Return positions, normals and spacings of the other surface near a box (collective).
+        """Return positions, normals and spacings of the other surface near a box. Collective.
 
         The points of all ranks are returned. Points farther away than the size of the box cannot be
         nearest to a point in contact.

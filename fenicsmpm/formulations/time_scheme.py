@@ -20,27 +20,27 @@ class TimeScheme(ABC):
     """Base class of all time integration schemes.
 
     Args:
-        unknown: unknown with a part that moves the points, the displacement increment u [m].
-        dt: time step [s].
-        flip: share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
-        names: fields of the points that are mapped to the grid.
+        unknown: Unknown with a part that moves the points, the displacement increment u [m].
+        dt: Time step [s].
+        flip: Share of FLIP in the velocity update [-], from 0 (PIC) to 1 (FLIP).
+        names: Fields of the points that are mapped to the grid.
 
     Attributes:
-        dt: length of the current step [s], a constant that the time loop sets.
-        histories: grid functions of the fields that are mapped from the points, by field name.
-        increment: displacement increment of the whole step ``(d,)`` [m], UFL, defined by the
+        dt: Length of the current step [s], a constant that the time loop sets.
+        histories: Grid functions of the fields that are mapped from the points, by field name.
+        increment: Displacement increment of the whole step ``(d,)`` [m], UFL, defined by the
             scheme.
-        acceleration: acceleration in the inertia term ``(d,)`` [m/s^2], UFL, defined by the scheme.
-        unknown: the unknown.
-        u: the part of the unknown that moves the points ``(d,)`` [m].
-        w: test function of u.
-        share: share of the step that u covers [-]. The equations hold at its end, except for
+        acceleration: Acceleration in the inertia term ``(d,)`` [m/s^2], UFL, defined by the scheme.
+        unknown: The unknown.
+        u: The part of the unknown that moves the points ``(d,)`` [m].
+        w: Test function of u.
+        share: Share of the step that u covers [-]. The equations hold at its end, except for
             ``Midpoint``, where they hold at the middle.
-        lumping: share of the lumped mass in the mass with which velocities are mapped to the grid
+        lumping: Share of the lumped mass in the mass with which velocities are mapped to the grid
             [-].
 
     Raises:
-        ValueError: if the time step is not positive and finite, the share of FLIP lies outside
+        ValueError: If the time step is not positive and finite, the share of FLIP lies outside
             [0, 1], or no part of the unknown moves the points.
     """
 
@@ -71,12 +71,12 @@ class TimeScheme(ABC):
         one.
 
         Args:
-            points: the body, with the field "mass" [kg].
-            b: body force per mass, such as gravity [m/s^2]: d numbers, a ``fem.Constant``, or a
+            points: The body, with the field "mass" [kg].
+            b: Body force per mass, such as gravity [m/s^2]: d numbers, a ``fem.Constant``, or a
                 UFL vector. None for none.
 
         Raises:
-            ValueError: if there are no masses, the numbers are not finite, or the shape is wrong.
+            ValueError: If there are no masses, the numbers are not finite, or the shape is wrong.
         """
         own = -self.acceleration
         return density(points) * (own if b is None else force_per_mass(points, b) + own)
@@ -87,7 +87,7 @@ class TimeScheme(ABC):
         Use it in equations without subscales. With subscales, inertia is part of ``force``.
 
         Args:
-            points: the body, with the field "mass" [kg].
+            points: The body, with the field "mass" [kg].
 
         Returns:
             UFL form of rank 1 over the points.
@@ -98,13 +98,13 @@ class TimeScheme(ABC):
         """Return the inertia (rho a, w) with the lumped mass of the points (VMS, section 5).
 
         Args:
-            points: the body, with the field "mass" [kg].
+            points: The body, with the field "mass" [kg].
 
         Returns:
             UFL form of rank 1 over the active cells, with the vertices as quadrature points.
 
         Raises:
-            ValueError: if the functions of the motion are not linear and so have nodes other than
+            ValueError: If the functions of the motion are not linear and so have nodes other than
                 the vertices.
         """
         assert self.unknown.moving is not None  # checked by the constructor
@@ -132,7 +132,7 @@ class TimeScheme(ABC):
         before the end of the step.
 
         Args:
-            part: name of the history.
+            part: Name of the history.
         """
         change = getattr(self.unknown, part) - getattr(self.unknown.old, part)
         return change / self.share if part in self._with_rates else change
@@ -145,10 +145,10 @@ class TimeScheme(ABC):
         the order in dt to one.
 
         Args:
-            part: name of the history, such as a temperature.
+            part: Name of the history, such as a temperature.
 
         Raises:
-            ValueError: if the part is not a history.
+            ValueError: If the part is not a history.
         """
         if not hasattr(self.unknown.old, part):
             raise ValueError(
@@ -172,7 +172,7 @@ class TimeScheme(ABC):
         """Return the values of the point fields at the end of a step, as UFL over the points.
 
         Args:
-            points: the body.
+            points: The body.
 
         Returns:
             New values by field name.
@@ -198,10 +198,10 @@ def density(points: MaterialPoints) -> Any:
     """Return the density at the start of the step, rho_n = m / V_n [kg/m^d], as UFL.
 
     Args:
-        points: the body, with the field "mass" [kg].
+        points: The body, with the field "mass" [kg].
 
     Raises:
-        ValueError: if the points have no masses.
+        ValueError: If the points have no masses.
     """
     if "mass" not in points:
         raise ValueError(
@@ -215,11 +215,11 @@ def force_per_mass(points: MaterialPoints, b: Any) -> Any:
     """Return a force per mass ``(d,)`` [m/s^2] as UFL.
 
     Args:
-        points: the body on which it acts.
-        b: d numbers, a ``fem.Constant``, or a UFL vector.
+        points: The body on which it acts.
+        b: D numbers, a ``fem.Constant``, or a UFL vector.
 
     Raises:
-        ValueError: if the numbers are not finite, or the shape is wrong.
+        ValueError: If the numbers are not finite, or the shape is wrong.
     """
     dim = points.mesh.geometry.dim
     if not isinstance(b, ufl.core.expr.Expr):
@@ -236,10 +236,10 @@ def check_time_step(dt: float) -> None:
     """Raise ValueError if a time step is not positive and finite.
 
     Args:
-        dt: time step [s].
+        dt: Time step [s].
 
     Raises:
-        ValueError: if the time step is not positive and finite.
+        ValueError: If the time step is not positive and finite.
     """
     if not 0 < dt < float("inf"):
         raise ValueError(f"the time step must be positive and finite: dt = {dt}")

@@ -37,17 +37,17 @@ class Part:
     - "grid" for a quantity that exists on the grid only.
 
     Args:
-        name: name of the part, and of the field of the points.
-        is_vector: whether the part is a vector ``(d,)`` or a scalar.
+        name: Name of the part, and of the field of the points.
+        is_vector: Whether the part is a vector ``(d,)`` or a scalar.
         role: "moves", "history" or "grid".
-        degree: degree of the Lagrange functions.
-        flip: for a history, 0 if the points take its new value (PIC), 1 if they take its change
+        degree: Degree of the Lagrange functions.
+        flip: For a history, 0 if the points take its new value (PIC), 1 if they take its change
             (FLIP), or a blend of both.
-        initial: value of a history at points that have no field of its name. None if the field must
+        initial: Value of a history at points that have no field of its name. None if the field must
             exist.
 
     Raises:
-        ValueError: if the name is not a valid identifier, the role is unknown or does not fit the
+        ValueError: If the name is not a valid identifier, the role is unknown or does not fit the
             shape, or flip lies outside [0, 1].
     """
 
@@ -83,28 +83,28 @@ class Unknown(Described):
     ``z.test.u``.
 
     Args:
-        over: mesh for a new function, or an existing function. The latter must be defined on a
+        over: Mesh for a new function, or an existing function. The latter must be defined on a
             mixed space if there are several parts.
-        parts: names or ``Part`` objects, in the order of the space.
-        degree: degree of the Lagrange functions of parts given by name.
+        parts: Names or ``Part`` objects, in the order of the space.
+        degree: Degree of the Lagrange functions of parts given by name.
 
     Attributes:
-        U: function of all parts, with respect to which forms are differentiated.
-        V: test function of all parts.
-        space: function space of both.
-        mesh: background mesh.
-        parts: the parts in their order.
-        test: test functions of the parts, as attributes.
-        old: values of the histories mapped from the points, as attributes (``fem.Function``).
+        U: Function of all parts, with respect to which forms are differentiated.
+        V: Test function of all parts.
+        space: Function space of both.
+        mesh: Background mesh.
+        parts: The parts in their order.
+        test: Test functions of the parts, as attributes.
+        old: Values of the histories mapped from the points, as attributes (``fem.Function``).
         conditions: Dirichlet conditions, created by ``fix``.
 
     Raises:
-        ValueError: if there are no parts, a name is taken, several parts move the points, or the
+        ValueError: If there are no parts, a name is taken, several parts move the points, or the
             given function has other parts.
     """
 
     def __init__(self, over: Any, *parts: str | Part, degree: int = 1) -> None:
-        """Create spaces and functions (collective)."""
+        """Create spaces and functions. Collective."""
         own = _with_roles(parts, degree)
         U = over if isinstance(over, fem.Function) else _function_of(over, own)
         _check_shapes(U, own)
@@ -113,7 +113,7 @@ class Unknown(Described):
     def _take(
         self, U: fem.Function, V: ufl.Argument, parts: Sequence[Part], first: int = 0
     ) -> None:
-        """Set the parts to those of a function, from part ``first`` on (collective)."""
+        """Set the parts to those of a function, from part ``first`` on. Collective."""
         self.parts = tuple(parts)
         self.U, self.V, self.space, self.mesh = U, V, U.function_space, U.function_space.mesh
         names = [part.name for part in self.parts]
@@ -152,7 +152,7 @@ class Unknown(Described):
         """Return the function space of a single part.
 
         Args:
-            name: name of the part.
+            name: Name of the part.
         """
         return self._collapsed[name][0]
 
@@ -160,7 +160,7 @@ class Unknown(Described):
         """Return the part of the unknown's space that belongs to a part, as dolfinx views it.
 
         Args:
-            name: name of the part.
+            name: Name of the part.
         """
         return self._subspaces[name]
 
@@ -168,7 +168,7 @@ class Unknown(Described):
         """Return the indices ``(n,)`` of a part in ``U.x.array``, in the order of ``part_space``.
 
         Args:
-            name: name of the part.
+            name: Name of the part.
         """
         space, dofs = self._collapsed[name]
         # A single part has all dofs. The array is not stored, since lattices can be large and
@@ -183,8 +183,8 @@ class Unknown(Described):
         """Return a new function with the current values of a part, for evaluation or output.
 
         Args:
-            name: name of the part.
-            prefix: prefix of the name of the function.
+            name: Name of the part.
+            prefix: Prefix of the name of the function.
         """
         result = fem.Function(self.part_space(name), name=f"{prefix}_{name}" if prefix else name)
         result.x.array[:] = self.U.x.array[self.dofs(name)]
@@ -194,8 +194,8 @@ class Unknown(Described):
         """Interpolate a function into a part, as ``fem.Function.interpolate`` does.
 
         Args:
-            name: name of the part.
-            value: function of positions ``(3, n)`` [m], ``fem.Function`` or ``fem.Expression``.
+            name: Name of the part.
+            value: Function of positions ``(3, n)`` [m], ``fem.Function`` or ``fem.Expression``.
         """
         function = fem.Function(self.part_space(name))
         function.interpolate(value)
@@ -205,11 +205,11 @@ class Unknown(Described):
         """Raise ValueError if parts are missing.
 
         Args:
-            names: names of the parts.
-            of: name of the feature that needs them, for the message.
+            names: Names of the parts.
+            of: Name of the feature that needs them, for the message.
 
         Raises:
-            ValueError: if a part is missing.
+            ValueError: If a part is missing.
         """
         missing = [name for name in names if name not in self]
         if missing:
@@ -222,11 +222,11 @@ class Unknown(Described):
         """Raise ValueError if parts have nodes other than the vertices.
 
         Args:
-            what: name of the feature that needs linear functions, for the message.
-            names: names of the parts. Without names, all parts are checked.
+            what: Name of the feature that needs linear functions, for the message.
+            names: Names of the parts. Without names, all parts are checked.
 
         Raises:
-            ValueError: if the functions of a part are not continuous and linear.
+            ValueError: If the functions of a part are not continuous and linear.
         """
         for name in names or self._values:
             element = self.part_space(name).ufl_element()
@@ -239,7 +239,7 @@ class Unknown(Described):
     def fix(
         self, part: str, where: Place, value: Any = 0.0, *, component: int | None = None
     ) -> Condition:
-        """Add a Dirichlet condition on a part, or on one of its components (collective).
+        """Add a Dirichlet condition on a part, or on one of its components. Collective.
 
         If the part moves the points, the value is the displacement since the start, at the end of a
         step. Time loops take the increments of this function of time at each node. If the
@@ -248,20 +248,20 @@ class Unknown(Described):
         not depend on time is the increment of a single step.
 
         Args:
-            part: name of the part.
-            where: marker as in dolfinx, from positions ``(3, n)`` [m] to a mask ``(n,)``, or local
+            part: Name of the part.
+            where: Marker as in dolfinx, from positions ``(3, n)`` [m] to a mask ``(n,)``, or local
                 facets ``(n,)``, such as those of ``dolfinx.mesh.exterior_facet_indices``.
-            value: number, sequence with one number for each component, function of the part's
+            value: Number, sequence with one number for each component, function of the part's
                 space, or callable. The parameters of a callable are ``x``, the positions ``(3, n)``
                 [m], and ``t``, the time [s], or ``start`` and ``end`` of a step [s]. They are
                 passed by these names.
-            component: index of the fixed component. None for all components.
+            component: Index of the fixed component. None for all components.
 
         Returns:
             The condition, which is also appended to ``conditions``.
 
         Raises:
-            ValueError: if the part or component is unknown, the marker has a wrong shape or finds
+            ValueError: If the part or component is unknown, the marker has a wrong shape or finds
                 no node on any rank, or the value has a wrong shape.
         """
         condition = Condition(self, part, where, value, component)
@@ -277,10 +277,10 @@ class Unknown(Described):
         """Raise ValueError if conditions were added after a simulation was created.
 
         Args:
-            known: value of ``bcs`` when the simulation was created.
+            known: Value of ``bcs`` when the simulation was created.
 
         Raises:
-            ValueError: if the conditions have changed since.
+            ValueError: If the conditions have changed since.
         """
         if self.bcs != list(known):
             raise ValueError(
@@ -289,11 +289,11 @@ class Unknown(Described):
             )
 
     def set_conditions(self, start: float, end: float) -> None:
-        """Set all conditions to their values for a step (collective).
+        """Set all conditions to their values for a step. Collective.
 
         Args:
-            start: time at the start of the step [s].
-            end: time at which the equations hold [s].
+            start: Time at the start of the step [s].
+            end: Time at which the equations hold [s].
         """
         for condition in self.conditions:
             condition.set(start, end)
@@ -316,22 +316,22 @@ class Unknown(Described):
 def coupled_unknowns(
     mesh: Any, *parts: Sequence[str | Part], degree: int = 1
 ) -> tuple[Unknown, ...]:
-    """Return one unknown for each of several bodies on one mesh, solved for together (collective).
+    """Return one unknown for each of several bodies on one mesh, solved for together. Collective.
 
     Bodies that share nodes then move independently, except for interactions such as ``contact``.
     Each unknown has its own parts, test functions and conditions. U, V and the space are those of
     all unknowns together.
 
     Args:
-        mesh: background mesh.
-        parts: parts of each unknown, as names or ``Part`` objects, such as ``("u", "p"), ("u",)``.
-        degree: degree of the Lagrange functions of parts given by name.
+        mesh: Background mesh.
+        parts: Parts of each unknown, as names or ``Part`` objects, such as ``("u", "p"), ("u",)``.
+        degree: Degree of the Lagrange functions of parts given by name.
 
     Returns:
         The unknowns, in the same order.
 
     Raises:
-        ValueError: if there are fewer than two unknowns, a name is given instead of a sequence of
+        ValueError: If there are fewer than two unknowns, a name is given instead of a sequence of
             parts, or for the reasons of ``Unknown``.
     """
     if len(parts) < 2 or any(isinstance(own, str) for own in parts):
@@ -399,7 +399,7 @@ def _described(parts: Sequence[Part]) -> str:
 
 
 def _function_of(mesh: Any, parts: Sequence[Part]) -> fem.Function:
-    """Return a new function with given parts on a mesh (collective)."""
+    """Return a new function with given parts on a mesh. Collective."""
     name = "_".join(part.name for part in parts)
     function = fem.Function(fem.functionspace(mesh, _element(mesh, parts)), name=name)
     release_zeros(function.x.array)

@@ -40,27 +40,27 @@ def wall(
     wall limit the step to about h / (c sqrt(factor)), with the wave speed c of the body.
 
     Args:
-        z: unknown with the displacement increment u [m], or in explicit steps with the velocity v
+        z: Unknown with the displacement increment u [m], or in explicit steps with the velocity v
             [m/s].
-        points: boundary points with initial areas as weights [m^(d-1)]. With friction, a field
+        points: Boundary points with initial areas as weights [m^(d-1)]. With friction, a field
             "slip" [m] is added, the elastic part s of the displacement along the wall. Time loops
             update it for schemes whose equations hold at the end or at the start of a step.
-        material: law of the body with the attribute E, or a modulus E [Pa].
-        distance: function from the position of a point, a UFL vector [m], to its distance from the
+        material: Law of the body with the attribute E, or a modulus E [Pa].
+        distance: Function from the position of a point, a UFL vector [m], to its distance from the
             wall, a UFL scalar [m], positive outside. A ``fem.Constant`` in it moves the wall.
             Alternatively a rigid body, fixed or with prescribed motion. ``ImplicitMPM`` moves it,
             and sticking points follow it. Its reach and stiffness are not used. Pass rigid bodies
             directly to explicit loops.
-        factor: penalty factor [-].
-        friction: coefficient of Coulomb friction [-]. None for that of the rigid body, or 0 for a
+        factor: Penalty factor [-].
+        friction: Coefficient of Coulomb friction [-]. None for that of the rigid body, or 0 for a
             distance function.
-        two_sided: whether the wall holds points from both sides, so that they slide along it.
+        two_sided: Whether the wall holds points from both sides, so that they slide along it.
 
     Returns:
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: if there are no points on any rank, the modulus or factor is not positive and
+        ValueError: If there are no points on any rank, the modulus or factor is not positive and
             finite, the friction is negative or not finite, the distance is not a scalar, or a rigid
             body is free or used in explicit steps. Also for friction at a two-sided wall, whose
             pressure has no sign.

@@ -235,20 +235,20 @@ class ModifiedCamClay(Law):
     need shorter explicit steps.
 
     Args:
-        mu: shear modulus [Pa], positive.
-        M: slope of the critical state line q = M p [-], positive.
-        compression: lambda, -d ln J / d ln p in isotropic compression [-], larger than kappa.
-        swelling: kappa, -d ln J / d ln p in unloading [-], positive.
-        pressure: pressure of the undeformed clay [Pa], positive.
-        preconsolidation: largest previous pressure [Pa], at least ``pressure``. None for
+        mu: Shear modulus [Pa], positive.
+        M: Slope of the critical state line q = M p [-], positive.
+        compression: Lambda, -d ln J / d ln p in isotropic compression [-], larger than kappa.
+        swelling: Kappa, -d ln J / d ln p in unloading [-], positive.
+        pressure: Pressure of the undeformed clay [Pa], positive.
+        preconsolidation: Largest previous pressure [Pa], at least ``pressure``. None for
             ``pressure``.
 
     Attributes:
-        mu: shear modulus [Pa].
-        M: slope of the critical state line [-].
+        mu: Shear modulus [Pa].
+        M: Slope of the critical state line [-].
 
     Raises:
-        ValueError: if a parameter is out of range, or the parameters are inconsistent.
+        ValueError: If a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(

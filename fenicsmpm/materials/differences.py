@@ -24,9 +24,9 @@ def first_piola_kirchhoff(F, sigma, P):  # type: ignore[no-untyped-def]
     """Set the first Piola-Kirchhoff stress P = sigma cof F.
 
     Args:
-        F: deformation gradient ``(3, 3)`` [-].
+        F: Deformation gradient ``(3, 3)`` [-].
         sigma: Cauchy stress ``(3, 3)`` [Pa].
-        P: result ``(3, 3)`` [Pa].
+        P: Result ``(3, 3)`` [Pa].
     """
     for j in range(3):
         a, b = (j + 1) % 3, (j + 2) % 3
@@ -46,7 +46,7 @@ def tangent_by_differences(update: Any) -> Any:
     is an average of the tangents on both sides.
 
     Args:
-        update: compiled function of a law that does not use velocity gradients.
+        update: Compiled function of a law that does not use velocity gradients.
 
     Returns:
         Compiled function ``tangent(F, parameters, state, dPdF)``.
@@ -92,20 +92,20 @@ def check_tangent(
     at a kink, such as first yield.
 
     Args:
-        law: constitutive law with a tangent.
-        F: deformation gradients after a step, ``(n, 3, 3)`` [-]. None for 100 random ones with
+        law: Constitutive law with a tangent.
+        F: Deformation gradients after a step, ``(n, 3, 3)`` [-]. None for 100 random ones with
             strains of 1e-3 to 0.2.
-        state: state before the step, ``(n, law.n_state)``, not changed. None for undeformed points.
+        state: State before the step, ``(n, law.n_state)``, not changed. None for undeformed points.
             With random deformations, None stands for the state after a first random step, in which
             a plastic law yields.
-        rtol: largest accepted error [-], relative to the largest entry of the tangent at a point or
+        rtol: Largest accepted error [-], relative to the largest entry of the tangent at a point or
             to the ``wave_speed_modulus`` of the law, whichever is larger.
 
     Returns:
         The largest relative error [-].
 
     Raises:
-        ValueError: if the law has no tangent, an array has a wrong shape, or the tangent is wrong.
+        ValueError: If the law has no tangent, an array has a wrong shape, or the tangent is wrong.
             In the last case the message says where, and what the value should be.
     """
     rtol = positive(rtol, "rtol", "relative tolerance", "-")

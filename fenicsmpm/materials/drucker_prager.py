@@ -107,30 +107,30 @@ class DruckerPrager(Frictional):
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        cohesion: cohesion c [Pa], not negative.
-        friction: friction angle phi [degrees], 0 <= friction < 90.
-        dilatancy: dilatancy angle psi [degrees], 0 <= dilatancy <= friction.
-        tension: largest mean stress [Pa], not negative, at most that of the apex. None for the
+        cohesion: Cohesion c [Pa], not negative.
+        friction: Friction angle phi [degrees], 0 <= friction < 90.
+        dilatancy: Dilatancy angle psi [degrees], 0 <= dilatancy <= friction.
+        tension: Largest mean stress [Pa], not negative, at most that of the apex. None for the
             apex.
-        match: how the cone is fitted to the Mohr-Coulomb surface.
-        softening_strain: value of eps_p at which the residual values are reached [-]. None for no
+        match: How the cone is fitted to the Mohr-Coulomb surface.
+        softening_strain: Value of eps_p at which the residual values are reached [-]. None for no
             softening. Softening localizes in bands as narrow as the mesh allows. A warning is
             logged.
-        residual_cohesion: residual cohesion [Pa], at most the cohesion. None for the cohesion.
-        residual_friction: residual friction angle [degrees], at most the friction. None for the
+        residual_cohesion: Residual cohesion [Pa], at most the cohesion. None for the cohesion.
+        residual_friction: Residual friction angle [degrees], at most the friction. None for the
             friction.
-        residual_dilatancy: residual dilatancy angle [degrees], at most the dilatancy. None for the
+        residual_dilatancy: Residual dilatancy angle [degrees], at most the dilatancy. None for the
             dilatancy.
 
     Attributes:
         E: Young's modulus [Pa].
         nu: Poisson's ratio [-].
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa].
-        tension: largest mean stress before softening [Pa].
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa].
+        tension: Largest mean stress before softening [Pa].
 
     Raises:
-        ValueError: if a parameter is out of range, or the parameters are inconsistent.
+        ValueError: If a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(

@@ -23,16 +23,16 @@ def stress(
     """Return the Cauchy stress at points, and update their state.
 
     Args:
-        law: constitutive law.
-        F: deformation gradients ``(n, 3, 3)`` [-].
-        L: velocity gradients ``(n, 3, 3)`` [1/s]. None for zero.
-        state: state ``(n, law.n_state)``, float64, changed in place. None for undeformed points.
+        law: Constitutive law.
+        F: Deformation gradients ``(n, 3, 3)`` [-].
+        L: Velocity gradients ``(n, 3, 3)`` [1/s]. None for zero.
+        state: State ``(n, law.n_state)``, float64, changed in place. None for undeformed points.
 
     Returns:
         Cauchy stresses ``(n, 3, 3)`` [Pa].
 
     Raises:
-        ValueError: if an array has a wrong shape.
+        ValueError: If an array has a wrong shape.
     """
     F, state = _checked(law, F, state)
     L = np.zeros_like(F) if L is None else np.asarray(L, dtype=np.float64)
@@ -51,7 +51,7 @@ def bulk_to_shear(law: Law) -> float:
     stiffness without it.
 
     Args:
-        law: constitutive law.
+        law: Constitutive law.
     """
     h = 1e-5
     F = np.array([np.eye(3), (1 - h) * np.eye(3), (1 - h) * np.eye(3)])
@@ -67,12 +67,12 @@ def energy(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
     """Return the free energy per initial volume at points, ``(n,)`` [J/m^3].
 
     Args:
-        law: constitutive law with an energy.
-        F: deformation gradients ``(n, 3, 3)`` [-].
-        state: state ``(n, law.n_state)``. None for undeformed points.
+        law: Constitutive law with an energy.
+        F: Deformation gradients ``(n, 3, 3)`` [-].
+        state: State ``(n, law.n_state)``. None for undeformed points.
 
     Raises:
-        ValueError: if the law has no energy, or an array has a wrong shape.
+        ValueError: If the law has no energy, or an array has a wrong shape.
     """
     if law.energy is None:
         raise ValueError(f"this law has no energy: {law}")
@@ -86,12 +86,12 @@ def tangent(law: Law, F: npt.ArrayLike, state: Array | None = None) -> Array:
     """Return the derivative dP/dF of the first Piola-Kirchhoff stress, ``(n, 3, 3, 3, 3)`` [Pa].
 
     Args:
-        law: constitutive law with a tangent.
-        F: deformation gradients after the step, ``(n, 3, 3)`` [-].
-        state: state before the step, ``(n, law.n_state)``, not changed. None for undeformed points.
+        law: Constitutive law with a tangent.
+        F: Deformation gradients after the step, ``(n, 3, 3)`` [-].
+        state: State before the step, ``(n, law.n_state)``, not changed. None for undeformed points.
 
     Raises:
-        ValueError: if the law has no tangent, or an array has a wrong shape.
+        ValueError: If the law has no tangent, or an array has a wrong shape.
     """
     if law.tangent is None:
         raise ValueError(f"this law has no tangent: {law}")
@@ -105,8 +105,8 @@ def state_of(law: Law, points: MaterialPoints) -> Array:
     """Return the state of material points, ``(n_points, law.n_state)``, from their fields.
 
     Args:
-        law: constitutive law.
-        points: the body, with the fields of the law's state.
+        law: Constitutive law.
+        points: The body, with the fields of the law's state.
     """
     state = law.initial_state(len(points))
     for name in law.columns:

@@ -39,16 +39,16 @@ class NewtonianFluid(Law):
     incompressible fluids, all equations of state agree.
 
     Args:
-        kappa: bulk modulus [Pa], positive.
-        mu: dynamic viscosity [Pa s], not negative. The wave speed does not include it: explicit
+        kappa: Bulk modulus [Pa], positive.
+        mu: Dynamic viscosity [Pa s], not negative. The wave speed does not include it: explicit
             steps of a very viscous fluid are also limited by density h^2 / (2 mu).
 
     Attributes:
-        kappa: bulk modulus [Pa].
-        mu: dynamic viscosity [Pa s].
+        kappa: Bulk modulus [Pa].
+        mu: Dynamic viscosity [Pa s].
 
     Raises:
-        ValueError: if a parameter is out of range.
+        ValueError: If a parameter is out of range.
     """
 
     def __init__(self, kappa: float, mu: float = 0.0) -> None:

@@ -223,12 +223,12 @@ def angle(value: float, symbol: str, meaning: str) -> float:
     """Return an angle in radians if it is at least 0 and less than 90 degrees.
 
     Args:
-        value: value to be checked [degrees].
-        symbol: name of the parameter.
-        meaning: meaning of the parameter.
+        value: Value to be checked [degrees].
+        symbol: Name of the parameter.
+        meaning: Meaning of the parameter.
 
     Raises:
-        ValueError: if the value is not such an angle.
+        ValueError: If the value is not such an angle.
     """
     result = number(value, symbol, meaning, "degrees")
     if not 0 <= result < 90:
@@ -242,27 +242,27 @@ class Frictional(Law):
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        cohesion: cohesion [Pa], not negative.
-        friction: friction angle [degrees], 0 <= friction < 90.
-        dilatancy: dilatancy angle [degrees], 0 <= dilatancy <= friction.
-        tension: limit of tension [Pa], not negative, at most the tip of the yield surface. None for
+        cohesion: Cohesion [Pa], not negative.
+        friction: Friction angle [degrees], 0 <= friction < 90.
+        dilatancy: Dilatancy angle [degrees], 0 <= dilatancy <= friction.
+        tension: Limit of tension [Pa], not negative, at most the tip of the yield surface. None for
             the tip.
-        softening_strain: plastic strain at which the residual values are reached [-]. None for no
+        softening_strain: Plastic strain at which the residual values are reached [-]. None for no
             softening.
-        residual_cohesion: residual cohesion [Pa]. None for the peak value.
-        residual_friction: residual friction angle [degrees]. None for the peak value.
-        residual_dilatancy: residual dilatancy angle [degrees]. None for the peak value.
-        return_map: see ``functions``.
+        residual_cohesion: Residual cohesion [Pa]. None for the peak value.
+        residual_friction: Residual friction angle [degrees]. None for the peak value.
+        residual_dilatancy: Residual dilatancy angle [degrees]. None for the peak value.
+        return_map: See ``functions``.
         coefficients: ``coefficients(cohesion, friction, dilatancy)``, with angles in radians,
             returns friction [-], k [Pa] and dilatancy [-] of the return map.
 
     Attributes:
-        strength: cohesion [Pa], friction and dilatancy angles [rad] at the peak and residual
+        strength: Cohesion [Pa], friction and dilatancy angles [rad] at the peak and residual
             ``(2, 3)``.
-        tension: limit of tension before softening [Pa].
+        tension: Limit of tension before softening [Pa].
 
     Raises:
-        ValueError: if a parameter is out of range, or the parameters are inconsistent.
+        ValueError: If a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(

@@ -42,7 +42,7 @@ class EnergyLaw(Law):
     """Hyperelastic law created by ``from_energy``.
 
     Attributes:
-        kernels: compiled stress and energy.
+        kernels: Compiled stress and energy.
     """
 
     def __init__(
@@ -71,24 +71,24 @@ def from_energy(
 ) -> Law:
     """Return a law at points whose energy is given in UFL; no mesh is needed.
 
-    The Cauchy stress is sigma = 1/J (d psi / d F) F^T. FFCx compiles it (collective). Other values
+    The Cauchy stress is sigma = 1/J (d psi / d F) F^T. FFCx compiles it. Collective. Other values
     of the parameters need no new compilation.
 
     Args:
-        psi: energy per initial volume ``psi(F, *parameters)`` [J/m^3], a UFL expression of the
+        psi: Energy per initial volume ``psi(F, *parameters)`` [J/m^3], a UFL expression of the
             deformation gradient F ``(3, 3)``.
-        parameters: numbers that psi receives as UFL constants.
-        wave_speed_modulus: modulus of the fastest elastic wave [Pa]. None for d P_11 / d F_11
+        parameters: Numbers that psi receives as UFL constants.
+        wave_speed_modulus: Modulus of the fastest elastic wave [Pa]. None for d P_11 / d F_11
             without deformation, which is correct for isotropic materials.
         comm: MPI communicator over which the compilation is shared.
-        jit_options: options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
+        jit_options: Options of ``dolfinx.jit.ffcx_jit``, which override the default ones.
 
     Returns:
         A law with an energy and without a state. The accuracy of stresses at small strains is that
         of the expression for psi near F = I.
 
     Raises:
-        ValueError: if psi is not scalar, a parameter is not a finite number, or the modulus without
+        ValueError: If psi is not scalar, a parameter is not a finite number, or the modulus without
             deformation is not positive.
     """
     if finite(parameters, "parameters of an energy").ndim != 1:

@@ -27,7 +27,7 @@ def deviatoric_strain(b):  # type: ignore[no-untyped-def]
     """Return the deviatoric logarithmic strain 1/2 dev(ln b), a symmetric tensor.
 
     Args:
-        b: symmetric tensor b - I, as in ``tensors``.
+        b: Symmetric tensor b - I, as in ``tensors``.
     """
     return _half(deviator(logarithm(b)))
 
@@ -37,7 +37,7 @@ def small_deviatoric_strain(b):  # type: ignore[no-untyped-def]
     """Return ``deviatoric_strain`` for ``|b - I| < SMALL``, without a branch.
 
     Args:
-        b: symmetric tensor b - I, as in ``tensors``.
+        b: Symmetric tensor b - I, as in ``tensors``.
     """
     return _half(deviator(small_logarithm(b)))
 
@@ -53,7 +53,7 @@ def are_small(change, b):  # type: ignore[no-untyped-def]
 
     Args:
         change: J - 1.
-        b: symmetric tensor b - I, as in ``tensors``.
+        b: Symmetric tensor b - I, as in ``tensors``.
     """
     return between(change, -SMALL, SMALL) and between(norm_squared(b), 0.0, SMALL**2)
 
@@ -65,7 +65,7 @@ def principal_deviatoric_strain(b):  # type: ignore[no-untyped-def]
     The directions are the columns of a tuple of 9.
 
     Args:
-        b: symmetric tensor b - I, as in ``tensors``.
+        b: Symmetric tensor b - I, as in ``tensors``.
     """
     change, n = eigen(b)
     e1 = 0.5 * log_of_one_plus(change[0])
@@ -80,10 +80,10 @@ def set_cauchy_stress(sigma, mean, two_mu, e, jacobian):  # type: ignore[no-unty
     """Set sigma to (mean I + 2 mu e) / J.
 
     Args:
-        sigma: result ``(3, 3)`` [Pa].
-        mean: mean Kirchhoff stress [Pa].
+        sigma: Result ``(3, 3)`` [Pa].
+        mean: Mean Kirchhoff stress [Pa].
         two_mu: 2 mu [Pa].
-        e: deviatoric strain, a symmetric tensor [-].
+        e: Deviatoric strain, a symmetric tensor [-].
         jacobian: J [-].
     """
     r = 1 / jacobian
@@ -101,10 +101,10 @@ def stored_energy(mu, kappa, log_j, e):  # type: ignore[no-untyped-def]
     """Return the energy kappa/2 (ln J)^2 + mu e : e per initial volume [J/m^3].
 
     Args:
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa].
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa].
         log_j: ln J [-].
-        e: deviatoric strain, a symmetric tensor [-].
+        e: Deviatoric strain, a symmetric tensor [-].
     """
     return 0.5 * kappa * log_j**2 + mu * norm_squared(e)
 
@@ -114,14 +114,14 @@ def set_tangent(F, log_j, e, n, mu, kappa, c, dPdF):  # type: ignore[no-untyped-
     """Set dPdF for d tau_a / d eps_b = kappa + 2 mu (delta_ab - 1/3) + c e_a e_b.
 
     Args:
-        F: deformation gradient ``(3, 3)``.
+        F: Deformation gradient ``(3, 3)``.
         log_j: ln J.
-        e: principal deviatoric strains, in plasticity those before the return mapping.
-        n: tuple of 9 with the principal directions in its columns.
-        mu: ratio of tau_a - tau_b to 2 (e_a - e_b) [Pa].
-        kappa: bulk modulus [Pa].
-        c: coefficient c above [Pa].
-        dPdF: result ``(3, 3, 3, 3)`` [Pa].
+        e: Principal deviatoric strains, in plasticity those before the return mapping.
+        n: Tuple of 9 with the principal directions in its columns.
+        mu: Ratio of tau_a - tau_b to 2 (e_a - e_b) [Pa].
+        kappa: Bulk modulus [Pa].
+        c: Coefficient c above [Pa].
+        dPdF: Result ``(3, 3, 3, 3)`` [Pa].
     """
     p, third = kappa * log_j, log_j / 3
     x, y, z = e
@@ -182,11 +182,11 @@ class Hencky(Law):
     Attributes:
         E: Young's modulus [Pa].
         nu: Poisson's ratio [-].
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa].
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa].
 
     Raises:
-        ValueError: if a parameter is out of range.
+        ValueError: If a parameter is out of range.
     """
 
     def __init__(self, E: float, nu: float) -> None:

@@ -84,19 +84,19 @@ class NeoHookean:
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu <= 0.5. The value 0.5 means an incompressible material.
-        volumetric: volumetric law U'(J) / kappa: "quadratic" for J - 1 (VMS), "miehe" for 1 - 1/J
+        volumetric: Volumetric law U'(J) / kappa: "quadratic" for J - 1 (VMS), "miehe" for 1 - 1/J
             (CMN) or "simo-taylor" for (J - 1/J) / 2.
 
     Attributes:
         E: Young's modulus [Pa].
         nu: Poisson's ratio [-].
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa], infinite for nu = 0.5.
-        inverse_kappa: inverse of the bulk modulus [1/Pa], zero for nu = 0.5.
-        volumetric: name of the volumetric law.
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa], infinite for nu = 0.5.
+        inverse_kappa: Inverse of the bulk modulus [1/Pa], zero for nu = 0.5.
+        volumetric: Name of the volumetric law.
 
     Raises:
-        ValueError: if a parameter is out of range, or the volumetric law is unknown.
+        ValueError: If a parameter is out of range, or the volumetric law is unknown.
     """
 
     def __init__(self, E: float, nu: float, volumetric: str = "quadratic") -> None:
@@ -116,7 +116,7 @@ class NeoHookean:
         """Return the deviatoric Cauchy stress mu J^(-5/3) dev(F F^T) [Pa] (VMS, section 2.2).
 
         Args:
-            F: deformation gradient ``(3, 3)``, UFL.
+            F: Deformation gradient ``(3, 3)``, UFL.
         """
         return self.mu * ufl.det(F) ** (-5 / 3) * ufl.dev(F * F.T)
 
@@ -124,7 +124,7 @@ class NeoHookean:
         """Return g(J) = U'(J) / kappa [-]; the pressure of a compressible material is kappa g(J).
 
         Args:
-            J: determinant of the deformation gradient [-].
+            J: Determinant of the deformation gradient [-].
         """
         return VOLUMETRIC_LAWS[self.volumetric](J)
 
@@ -132,8 +132,8 @@ class NeoHookean:
         """Return the deviatoric strain energy per initial volume [J/m^3] (VMS, section 2.2).
 
         Args:
-            F: deformation gradient ``(3, 3)``, UFL.
-            J: its determinant [-].
+            F: Deformation gradient ``(3, 3)``, UFL.
+            J: Its determinant [-].
         """
         return self.mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3)
 
@@ -142,8 +142,8 @@ class NeoHookean:
 
         Args:
             k: ``Kinematics`` of the step.
-            U: function of the whole unknown.
-            V: its variation.
+            U: Function of the whole unknown.
+            V: Its variation.
         """
         return ufl.derivative(self.energy(k.F, k.J) / k.J_n, U, V)
 
@@ -151,7 +151,7 @@ class NeoHookean:
         """Return U'(J)/kappa - p/kappa [-] (VMS, equation 2), for ``mixed``.
 
         Args:
-            p: pressure [Pa], positive in tension.
+            p: Pressure [Pa], positive in tension.
             k: ``Kinematics`` of the step.
         """
         residual = self.volumetric_strain(k.J)
@@ -163,7 +163,7 @@ class NeoHookean:
         """Return the shear modulus for stabilization [Pa], which is mu for cells of any size.
 
         Args:
-            h_squared: square of the cell size [m^2].
+            h_squared: Square of the cell size [m^2].
         """
         return self.mu
 
@@ -171,8 +171,8 @@ class NeoHookean:
         """Return the shear modulus mu [Pa] for the volumetric subscales.
 
         Args:
-            points: material points.
-            h_squared: square of the cell size [m^2].
+            points: Material points.
+            h_squared: Square of the cell size [m^2].
         """
         return self.mu
 
@@ -224,7 +224,7 @@ class NeoHookean:
         """Return the law at a point, with stresses from the deformation alone, for explicit steps.
 
         Raises:
-            ValueError: if nu = 0.5.
+            ValueError: If nu = 0.5.
         """
         mu, kappa = elastic_moduli(self.E, self.nu)
         number = list(VOLUMETRIC_LAWS).index(self.volumetric)

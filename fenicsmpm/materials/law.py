@@ -36,10 +36,10 @@ class Law:
             Explicit steps read the upper triangle only. F is the deformation gradient ``(3, 3)``,
             with F-bar the modified one (F33 is kept in plane strain), and L the velocity gradient
             ``(3, 3)`` [1/s].
-        parameters: parameters ``(n_parameters,)``, which are passed to the functions.
-        wave_speed_modulus: modulus of the fastest elastic wave [Pa], whose speed is the square root
+        parameters: Parameters ``(n_parameters,)``, which are passed to the functions.
+        wave_speed_modulus: Modulus of the fastest elastic wave [Pa], whose speed is the square root
             of modulus over density. For solids it is lambda + 2 mu.
-        state: shape and initial value of each state field, by name. The state of a point is stored
+        state: Shape and initial value of each state field, by name. The state of a point is stored
             as one row of ``n_state`` numbers, with one field after the other.
         energy: ``energy(F, parameters, state)`` returns the free energy per initial volume [J/m^3]
             for the state after the step.
@@ -55,18 +55,18 @@ class Law:
             sigma have entries of type ``lanes.Row``, and ``state[k]`` holds the k-th number of each
             point. If it returns False, it must leave the state unchanged, and ``update`` is called
             for each point. It is not needed if ``update`` has no branches and no state.
-        needs_rate: whether ``update`` uses L. If not, loops skip the computation of L and pass
+        needs_rate: Whether ``update`` uses L. If not, loops skip the computation of L and pass
             zeros.
-        is_fluid: whether the stress depends on F only through its determinant. Loops may then
+        is_fluid: Whether the stress depends on F only through its determinant. Loops may then
             replace F by another tensor of the same determinant, before large shears spoil the
             determinant by round-off.
 
     Attributes:
-        columns: slice of each state field in a row of the state, by name.
+        columns: Slice of each state field in a row of the state, by name.
 
     Raises:
-        TypeError: if a function was not compiled by numba.
-        ValueError: if parameters, initial values or the modulus are not finite numbers.
+        TypeError: If a function was not compiled by numba.
+        ValueError: If parameters, initial values or the modulus are not finite numbers.
     """
 
     update: Callable[..., None]
@@ -111,7 +111,7 @@ class Law:
         """Return the state of undeformed points, ``(n_points, n_state)``.
 
         Args:
-            n_points: number of points.
+            n_points: Number of points.
         """
         return np.tile(self._initial_row, (n_points, 1))
 
@@ -119,14 +119,14 @@ class Law:
         """Return one field of the state, as a view.
 
         Args:
-            state: state ``(n_points, n_state)``, C-contiguous.
-            name: name of the field.
+            state: State ``(n_points, n_state)``, C-contiguous.
+            name: Name of the field.
 
         Returns:
             View of shape ``(n_points, *shape)``.
 
         Raises:
-            KeyError: if there is no such field.
+            KeyError: If there is no such field.
         """
         if name not in self.columns:
             raise KeyError(f"no state field {name!r} in {self!r}: {list(self.columns)}")
@@ -144,11 +144,11 @@ def finite(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
     """Return a float64 copy of finite real numbers of any shape.
 
     Args:
-        values: values to be checked.
-        what: meaning of the values for the message, in the plural.
+        values: Values to be checked.
+        what: Meaning of the values for the message, in the plural.
 
     Raises:
-        ValueError: if the values are anything else, such as text.
+        ValueError: If the values are anything else, such as text.
     """
     array = _real(values)
     if array is None:
@@ -162,13 +162,13 @@ def number(value: float, symbol: str, meaning: str, unit: str) -> float:
     """Return a value as float if it is one real number.
 
     Args:
-        value: value to be checked.
-        symbol: name of the parameter.
-        meaning: meaning of the parameter.
-        unit: unit of the value.
+        value: Value to be checked.
+        symbol: Name of the parameter.
+        meaning: Meaning of the parameter.
+        unit: Unit of the value.
 
     Raises:
-        ValueError: if it is not. The message names the parameter and its value.
+        ValueError: If it is not. The message names the parameter and its value.
     """
     array = _real(value)
     if array is None or array.shape != ():
@@ -189,13 +189,13 @@ def positive(value: float, symbol: str, meaning: str, unit: str) -> float:
     """Return a value as ``number`` does, if it is positive and finite.
 
     Args:
-        value: value to be checked.
-        symbol: name of the parameter.
-        meaning: meaning of the parameter.
-        unit: unit of the value.
+        value: Value to be checked.
+        symbol: Name of the parameter.
+        meaning: Meaning of the parameter.
+        unit: Unit of the value.
 
     Raises:
-        ValueError: if it is not.
+        ValueError: If it is not.
     """
     result = number(value, symbol, meaning, unit)
     if not 0 < result < np.inf:
@@ -207,13 +207,13 @@ def not_negative(value: float, symbol: str, meaning: str, unit: str) -> float:
     """Return a value as ``number`` does, if it is finite and not negative.
 
     Args:
-        value: value to be checked.
-        symbol: name of the parameter.
-        meaning: meaning of the parameter.
-        unit: unit of the value.
+        value: Value to be checked.
+        symbol: Name of the parameter.
+        meaning: Meaning of the parameter.
+        unit: Unit of the value.
 
     Raises:
-        ValueError: if it is not.
+        ValueError: If it is not.
     """
     result = number(value, symbol, meaning, unit)
     if not 0 <= result < np.inf:
@@ -226,10 +226,10 @@ def poissons_ratio(nu: float, *, incompressible: bool) -> float:
 
     Args:
         nu: Poisson's ratio [-].
-        incompressible: whether 0.5 is valid.
+        incompressible: Whether 0.5 is valid.
 
     Raises:
-        ValueError: if it lies outside.
+        ValueError: If it lies outside.
     """
     result = number(nu, "nu", "Poisson's ratio", "-")
     if -1 < result < 0.5 or (incompressible and result == 0.5):
@@ -256,7 +256,7 @@ def elastic_moduli(E: float, nu: float) -> tuple[float, float]:
         nu: Poisson's ratio [-], -1 < nu < 0.5.
 
     Raises:
-        ValueError: if a parameter is out of range.
+        ValueError: If a parameter is out of range.
     """
     E = positive(E, "E", "Young's modulus", "Pa")
     nu = poissons_ratio(nu, incompressible=False)
@@ -267,7 +267,7 @@ def p_wave_modulus(mu: float, kappa: float) -> float:
     """Return the P-wave modulus lambda + 2 mu = kappa + 4/3 mu of an elastic solid [Pa].
 
     Args:
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa].
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa].
     """
     return kappa + 4 / 3 * mu

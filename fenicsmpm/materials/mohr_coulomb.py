@@ -70,7 +70,7 @@ def _solve(number, trial, lame, two_mu, strength, sines):  # type: ignore[no-unt
     """Return multipliers for the return of trial stresses to a place, and data for tangents.
 
     Returns:
-        normals a_i, stresses C m_i of the flow directions m_i, the inverse of a_i C m_j (a tuple of
+        Normals a_i, stresses C m_i of the flow directions m_i, the inverse of a_i C m_j (a tuple of
         9), and multipliers. The multipliers of absent planes are zero.
     """
     x, y, z = _place(number)
@@ -211,30 +211,30 @@ class MohrCoulomb(Frictional):
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        cohesion: cohesion c [Pa], not negative.
-        friction: friction angle phi [degrees], 0 <= friction < 90. With 0 this is the law of
+        cohesion: Cohesion c [Pa], not negative.
+        friction: Friction angle phi [degrees], 0 <= friction < 90. With 0 this is the law of
             Tresca.
-        dilatancy: dilatancy angle psi [degrees], 0 <= dilatancy <= friction.
-        tension: largest principal stress [Pa], not negative, at most that of the tip, c / tan(phi).
+        dilatancy: Dilatancy angle psi [degrees], 0 <= dilatancy <= friction.
+        tension: Largest principal stress [Pa], not negative, at most that of the tip, c / tan(phi).
             None for the tip.
-        softening_strain: value of eps_p at which the residual values are reached [-]. None for no
+        softening_strain: Value of eps_p at which the residual values are reached [-]. None for no
             softening. Softening localizes in bands as narrow as the mesh allows. A warning is
             logged.
-        residual_cohesion: residual cohesion [Pa], at most the cohesion. None for the cohesion.
-        residual_friction: residual friction angle [degrees], at most the friction. None for the
+        residual_cohesion: Residual cohesion [Pa], at most the cohesion. None for the cohesion.
+        residual_friction: Residual friction angle [degrees], at most the friction. None for the
             friction.
-        residual_dilatancy: residual dilatancy angle [degrees], at most the dilatancy. None for the
+        residual_dilatancy: Residual dilatancy angle [degrees], at most the dilatancy. None for the
             dilatancy.
 
     Attributes:
         E: Young's modulus [Pa].
         nu: Poisson's ratio [-].
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa].
-        tension: largest principal stress before softening [Pa].
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa].
+        tension: Largest principal stress before softening [Pa].
 
     Raises:
-        ValueError: if a parameter is out of range, or the parameters are inconsistent.
+        ValueError: If a parameter is out of range, or the parameters are inconsistent.
     """
 
     def __init__(

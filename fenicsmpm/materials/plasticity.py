@@ -60,9 +60,9 @@ def yield_stress(eps_p, decay, parameters):  # type: ignore[no-untyped-def]
     """Return sigma_r + (sigma_y - sigma_r) exp(-eta eps_p) + H eps_p and its derivative [Pa].
 
     Args:
-        eps_p: accumulated plastic strain [-].
+        eps_p: Accumulated plastic strain [-].
         decay: exp(-eta eps_p) [-].
-        parameters: parameters of the law.
+        parameters: Parameters of the law.
     """
     sigma_y, sigma_r, eta, H = parameters[2], parameters[3], parameters[4], parameters[5]
     excess = (sigma_y - sigma_r) * decay
@@ -256,22 +256,22 @@ class VonMises(Law):
     Args:
         E: Young's modulus [Pa], positive.
         nu: Poisson's ratio [-], -1 < nu < 0.5.
-        sigma_y: initial yield stress in uniaxial tension [Pa], positive.
-        H: linear hardening modulus [Pa], not negative.
-        sigma_r: residual yield stress [Pa], positive. The material softens if it is below sigma_y
+        sigma_y: Initial yield stress in uniaxial tension [Pa], positive.
+        H: Linear hardening modulus [Pa], not negative.
+        sigma_r: Residual yield stress [Pa], positive. The material softens if it is below sigma_y
             and hardens up to it otherwise. Softening localizes in bands as narrow as the mesh
             allows, since the law has no length scale. A warning is logged.
-        eta: rate at which the yield stress approaches sigma_r [-]. It must be positive if sigma_r
+        eta: Rate at which the yield stress approaches sigma_r [-]. It must be positive if sigma_r
             is given.
 
     Attributes:
         E: Young's modulus [Pa].
         nu: Poisson's ratio [-].
-        mu: shear modulus [Pa].
-        kappa: bulk modulus [Pa].
+        mu: Shear modulus [Pa].
+        kappa: Bulk modulus [Pa].
 
     Raises:
-        ValueError: if a parameter is out of range, or softening is so steep that the stress is not
+        ValueError: If a parameter is out of range, or softening is so steep that the stress is not
             unique.
     """
 

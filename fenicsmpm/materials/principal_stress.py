@@ -31,8 +31,8 @@ def elastic_deformation(F, state):  # type: ignore[no-untyped-def]
     """Return b_e - I with b_e = F C_p^-1 F^T, a symmetric tensor.
 
     Args:
-        F: deformation gradient ``(3, 3)`` [-].
-        state: state of the point, which starts with C_p^-1.
+        F: Deformation gradient ``(3, 3)`` [-].
+        state: State of the point, which starts with C_p^-1.
     """
     b = metric_change(F)
     # plus F (C_p^-1 - I) F^T
@@ -47,7 +47,7 @@ def principal_strains(b):  # type: ignore[no-untyped-def]
     """Return the logarithmic strains, largest first, and the directions in columns.
 
     Args:
-        b: symmetric tensor b - I, as in ``tensors``.
+        b: Symmetric tensor b - I, as in ``tensors``.
     """
     w, n = eigen(b)
     x, y, z = w
@@ -72,9 +72,9 @@ def set_cauchy_stress(sigma, tau, n, jacobian):  # type: ignore[no-untyped-def]
     """Set sigma to tau / J; NaN unless J is positive.
 
     Args:
-        sigma: result ``(3, 3)`` [Pa].
-        tau: principal Kirchhoff stresses [Pa].
-        n: tuple of 9 with the principal directions in its columns.
+        sigma: Result ``(3, 3)`` [Pa].
+        tau: Principal Kirchhoff stresses [Pa].
+        n: Tuple of 9 with the principal directions in its columns.
         jacobian: J [-].
     """
     r = 1 / jacobian if jacobian > 0 else math.nan
@@ -90,10 +90,10 @@ def set_plastic_deformation(F, strain, n, state):  # type: ignore[no-untyped-def
     """Set C_p^-1 = F^-1 b_e F^-T in the state.
 
     Args:
-        F: deformation gradient ``(3, 3)`` [-].
-        strain: principal elastic strains [-].
-        n: tuple of 9 with the principal directions in its columns.
-        state: state of the point, which starts with C_p^-1.
+        F: Deformation gradient ``(3, 3)`` [-].
+        strain: Principal elastic strains [-].
+        n: Tuple of 9 with the principal directions in its columns.
+        state: State of the point, which starts with C_p^-1.
     """
     b = compose((math.exp(2 * strain[0]), math.exp(2 * strain[1]), math.exp(2 * strain[2])), n)
     c = congruence(inverse(rows(F)), b)
@@ -108,8 +108,8 @@ def transposed_times(A, b):  # type: ignore[no-untyped-def]
     """Return A^T b.
 
     Args:
-        A: tuple of 9, by rows.
-        b: tuple of 3.
+        A: Tuple of 9, by rows.
+        b: Tuple of 3.
     """
     return (
         A[0] * b[0] + A[3] * b[1] + A[6] * b[2],
@@ -126,9 +126,9 @@ def work_derivatives(tau, D, flow):  # type: ignore[no-untyped-def]
     flow.
 
     Args:
-        tau: principal Kirchhoff stresses [Pa].
-        D: d tau_a / d eps_b, a tuple of 9, by rows [Pa].
-        flow: principal plastic strains of the step [-].
+        tau: Principal Kirchhoff stresses [Pa].
+        D: D tau_a / d eps_b, a tuple of 9, by rows [Pa].
+        flow: Principal plastic strains of the step [-].
     """
     w = transposed_times(D, flow)
     return tau[0] + w[0], tau[1] + w[1], tau[2] + w[2]
@@ -141,9 +141,9 @@ def quotients(strain, tau, D):  # type: ignore[no-untyped-def]
     For equal strains the quotients are replaced by their limits.
 
     Args:
-        strain: principal trial strains [-].
-        tau: principal Kirchhoff stresses [Pa].
-        D: d tau_a / d eps_b, a tuple of 9, by rows [Pa].
+        strain: Principal trial strains [-].
+        tau: Principal Kirchhoff stresses [Pa].
+        D: D tau_a / d eps_b, a tuple of 9, by rows [Pa].
     """
     return (
         _quotient(strain[0] - strain[1], tau[0] - tau[1], D[0] - D[1] - D[3] + D[4]),
@@ -167,13 +167,13 @@ def set_tangent(F, strain, n, tau, D, quotient, dPdF):  # type: ignore[no-untype
     C_p^-1 F^T. Finally, dP = (d tau - tau g^T) F^-T.
 
     Args:
-        F: deformation gradient ``(3, 3)``.
-        strain: principal trial strains [-].
-        n: tuple of 9 with the principal directions in its columns.
-        tau: principal Kirchhoff stresses [Pa].
-        D: d tau_a / d eps_b, a tuple of 9, by rows [Pa].
-        quotient: see ``quotients`` [Pa].
-        dPdF: result ``(3, 3, 3, 3)`` [Pa].
+        F: Deformation gradient ``(3, 3)``.
+        strain: Principal trial strains [-].
+        n: Tuple of 9 with the principal directions in its columns.
+        tau: Principal Kirchhoff stresses [Pa].
+        D: D tau_a / d eps_b, a tuple of 9, by rows [Pa].
+        quotient: See ``quotients`` [Pa].
+        dPdF: Result ``(3, 3, 3, 3)`` [Pa].
     """
     work = np.empty((5, 3, 3))
     # directions in columns, the same pulled back, and the factors of g_cc, g_ac and g_ca
@@ -221,10 +221,10 @@ def set_gradient(F, n, w, G):  # type: ignore[no-untyped-def]
     """Set G to the derivative with respect to F of a function of principal trial strains.
 
     Args:
-        F: deformation gradient ``(3, 3)``.
-        n: tuple of 9 with the principal directions in its columns.
-        w: derivatives with respect to the strains [J/m^3].
-        G: result ``(3, 3)`` [J/m^3], (sum_a w_a n_a n_a) F^-T.
+        F: Deformation gradient ``(3, 3)``.
+        n: Tuple of 9 with the principal directions in its columns.
+        w: Derivatives with respect to the strains [J/m^3].
+        G: Result ``(3, 3)`` [J/m^3], (sum_a w_a n_a n_a) F^-T.
     """
     W, f = compose(w, n), inverse(rows(F))
     W = W[0], W[3], W[4], W[3], W[1], W[5], W[4], W[5], W[2]

@@ -40,9 +40,9 @@ def stretch_of(
     one without rotation, F = U. Fluids have F = J^(1/3) I.
 
     Args:
-        law: constitutive law, evaluated at rest with zero velocity gradients.
+        law: Constitutive law, evaluated at rest with zero velocity gradients.
         sigma: Cauchy stresses ``(n, 3, 3)`` [Pa], symmetric.
-        state: state ``(n, law.n_state)``, not changed. None for undeformed points.
+        state: State ``(n, law.n_state)``, not changed. None for undeformed points.
 
     Returns:
         Deformation gradients ``(n, 3, 3)`` [-], and a mask ``(n,)`` of the points at which the law
@@ -51,7 +51,7 @@ def stretch_of(
         the mask is also False where the law dissipates on the way.
 
     Raises:
-        ValueError: if an array has a wrong shape.
+        ValueError: If an array has a wrong shape.
     """
     sigma = np.asarray(sigma, dtype=np.float64)
     if sigma.ndim != 3 or sigma.shape[1:] != (3, 3):
@@ -114,12 +114,12 @@ def _newton_step(
     """Return the change of F ``(n, 3, 3)`` that removes the excess stress, limited in length.
 
     Args:
-        law: constitutive law.
-        F: deformation gradients ``(n, 3, 3)`` at the start [-].
-        state: state ``(n, law.n_state)`` at the start.
-        excess: excess stress ``(n, 3, 3)`` [Pa].
-        changes: symmetric directions ``(m, 3, 3)`` in which F may change.
-        half: steps of the central differences ``(n,)``.
+        law: Constitutive law.
+        F: Deformation gradients ``(n, 3, 3)`` at the start [-].
+        state: State ``(n, law.n_state)`` at the start.
+        excess: Excess stress ``(n, 3, 3)`` [Pa].
+        changes: Symmetric directions ``(m, 3, 3)`` in which F may change.
+        half: Steps of the central differences ``(n,)``.
     """
     rows = np.empty((len(F), len(changes), len(changes)))
     for k, change in enumerate(changes):

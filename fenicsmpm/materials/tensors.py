@@ -65,7 +65,7 @@ def inverse_cube_root(x):  # type: ignore[no-untyped-def]
     of correct digits, the last one doubles it.
 
     Args:
-        x: number, or ``lanes.Row``.
+        x: Number, or ``lanes.Row``.
     """
     z = rough_inverse_cube_root(x)
     for _ in range(2):
@@ -80,7 +80,7 @@ def cube_root(x):  # type: ignore[no-untyped-def]
     """Return the cube root to round-off, or NaN unless x is positive.
 
     Args:
-        x: number, or ``lanes.Row``.
+        x: Number, or ``lanes.Row``.
     """
     z = inverse_cube_root(x)
     y = x * z * z
@@ -92,7 +92,7 @@ def log_of_one_plus(x):  # type: ignore[no-untyped-def]
     """Return ln(1 + x) to round-off, for small x by a series in a quarter of the time of log1p.
 
     Args:
-        x: number.
+        x: Number.
     """
     return log_of_one_plus_small(x) if abs(x) < SMALL else math.log1p(x)
 
@@ -102,7 +102,7 @@ def log_of_one_plus_small(x):  # type: ignore[no-untyped-def]
     """Return ln(1 + x) to round-off for ``|x| < SMALL``, without a branch.
 
     Args:
-        x: number, or ``lanes.Row``.
+        x: Number, or ``lanes.Row``.
     """
     y = x / (2 + x)
     z = y * y
@@ -115,7 +115,7 @@ def exprel(x):  # type: ignore[no-untyped-def]
     """Return the relative exponential (exp(x) - 1) / x.
 
     Args:
-        x: number.
+        x: Number.
     """
     return math.expm1(x) / x if x != 0 else 1.0
 
@@ -125,7 +125,7 @@ def exprel_small(x):  # type: ignore[no-untyped-def]
     """Return ``exprel`` to round-off for ``|x| < SMALL``, without a branch.
 
     Args:
-        x: number, or ``lanes.Row``.
+        x: Number, or ``lanes.Row``.
     """
     y = 1 + x / 10
     for k in range(9, 1, -1):
@@ -138,7 +138,7 @@ def volume_change(F):  # type: ignore[no-untyped-def]
     """Return J - 1 with J = det F, as the sum of the principal invariants of F - I.
 
     Args:
-        F: deformation gradient ``(3, 3)`` [-].
+        F: Deformation gradient ``(3, 3)`` [-].
     """
     a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
     d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
@@ -153,7 +153,7 @@ def metric_change(F):  # type: ignore[no-untyped-def]
     """Return F F^T - I, a symmetric tensor.
 
     Args:
-        F: deformation gradient ``(3, 3)`` [-].
+        F: Deformation gradient ``(3, 3)`` [-].
     """
     a, b, c = F[0, 0] - 1, F[0, 1], F[0, 2]
     d, e, f = F[1, 0], F[1, 1] - 1, F[1, 2]
@@ -173,8 +173,8 @@ def congruence(A, S):  # type: ignore[no-untyped-def]
     """Return A S A^T, a symmetric tensor.
 
     Args:
-        A: tuple of 9.
-        S: symmetric tensor.
+        A: Tuple of 9.
+        S: Symmetric tensor.
     """
     a, b, c = A[0:3], A[3:6], A[6:9]
     x, y, z = (S[0], S[3], S[4]), (S[3], S[1], S[5]), (S[4], S[5], S[2])
@@ -189,7 +189,7 @@ def rows(F):  # type: ignore[no-untyped-def]
     """Return an array (3, 3) as a tuple of 9.
 
     Args:
-        F: array ``(3, 3)``.
+        F: Array ``(3, 3)``.
     """
     return (
         F[0, 0], F[0, 1], F[0, 2],
@@ -203,7 +203,7 @@ def inverse(A):  # type: ignore[no-untyped-def]
     """Return the inverse of a tensor as a tuple of 9.
 
     Args:
-        A: tuple of 9.
+        A: Tuple of 9.
     """
     a, b, c, d, e, f, g, h, i = A
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
@@ -220,8 +220,8 @@ def compose(w, n):  # type: ignore[no-untyped-def]
     """Return the symmetric tensor with given eigenvalues and eigenvectors.
 
     Args:
-        w: three eigenvalues.
-        n: tuple of 9 with the eigenvectors in its columns.
+        w: Three eigenvalues.
+        n: Tuple of 9 with the eigenvectors in its columns.
     """
     return congruence(n, (w[0], w[1], w[2], 0.0, 0.0, 0.0))
 
@@ -259,7 +259,7 @@ def eigen(A):  # type: ignore[no-untyped-def]
     a few units of round-off of the largest eigenvalue, and eigenvectors are orthonormal.
 
     Args:
-        A: symmetric tensor.
+        A: Symmetric tensor.
 
     Returns:
         Eigenvalues in no particular order, and a tuple of 9 with the eigenvectors in its columns.
@@ -347,7 +347,7 @@ def norm_squared(A):  # type: ignore[no-untyped-def]
     """Return A : A for a symmetric tensor.
 
     Args:
-        A: symmetric tensor.
+        A: Symmetric tensor.
     """
     mixed = A[3] * A[3] + A[4] * A[4] + A[5] * A[5]
     return A[0] * A[0] + A[1] * A[1] + A[2] * A[2] + 2 * mixed
@@ -358,7 +358,7 @@ def deviator(A):  # type: ignore[no-untyped-def]
     """Return A - tr(A) / 3 I for a symmetric tensor.
 
     Args:
-        A: symmetric tensor.
+        A: Symmetric tensor.
     """
     mean = (A[0] + A[1] + A[2]) / 3
     return A[0] - mean, A[1] - mean, A[2] - mean, A[3], A[4], A[5]
@@ -369,7 +369,7 @@ def logarithm(A):  # type: ignore[no-untyped-def]
     """Return ln(I + A) of a symmetric tensor to round-off, without eigenvalues if A is small.
 
     Args:
-        A: symmetric tensor.
+        A: Symmetric tensor.
     """
     if norm_squared(A) < SMALL**2:
         return small_logarithm(A)
@@ -382,7 +382,7 @@ def small_logarithm(A):  # type: ignore[no-untyped-def]
     """Return ln(I + A) = 2 artanh(Y) with Y = A (2 I + A)^-1, to round-off for ``|A| < SMALL``.
 
     Args:
-        A: symmetric tensor, of numbers or of ``lanes.Row``.
+        A: Symmetric tensor, of numbers or of ``lanes.Row``.
     """
     b = (2 + A[0], A[3], A[4], A[3], 2 + A[1], A[5], A[4], A[5], 2 + A[2])
     c = inverse(b)
@@ -395,7 +395,7 @@ def small_exponential(A):  # type: ignore[no-untyped-def]
     """Return exp(A) of a symmetric tensor, to round-off for ``|A| < 2 SMALL``.
 
     Args:
-        A: symmetric tensor, of numbers or of ``lanes.Row``.
+        A: Symmetric tensor, of numbers or of ``lanes.Row``.
     """
     return _polynomial(A, _EXPONENTIAL)
 
@@ -405,7 +405,7 @@ def exponential(A):  # type: ignore[no-untyped-def]
     """Return exp(A) of a symmetric tensor to round-off, without eigenvalues if A is small.
 
     Args:
-        A: symmetric tensor.
+        A: Symmetric tensor.
     """
     if norm_squared(A) < SMALL**2:
         return small_exponential(A)

@@ -76,7 +76,7 @@ class CellGeometry:
     On a lattice they follow from the numbers of the cells; otherwise arrays are stored.
 
     Attributes:
-        cell: basix cell type.
+        cell: Basix cell type.
         dim: Topological and geometrical dimension d, 2 or 3.
         boxes: The lattice of the cells, if they are equal axis-parallel boxes, else None.
         stored: Coefficients of x = sum_k stored[c, k] * monomial_k(xi) in m, shape (cells, k, d);

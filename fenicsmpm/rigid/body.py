@@ -29,39 +29,39 @@ class RigidBody:
     velocity is given. With ``inertia``, the body is free, and gravity, loads and contact move it.
 
     Args:
-        shape: shape of the body at the start: ``shapes.Box``, ``shapes.polygon``,
+        shape: Shape of the body at the start: ``shapes.Box``, ``shapes.polygon``,
             ``shapes.surface``, ``shapes.SignedDistance``, or any object with the same methods
             ``distance`` and ``bounds()``. The distance from all shapes except boxes is sampled.
-        reach: gap below which there is a contact force [m], for example half the distance of
+        reach: Gap below which there is a contact force [m], for example half the distance of
             points.
-        velocity: velocity of the centre ``(d,)`` [m/s], 0 for none, or a function of time [s]. For
+        velocity: Velocity of the centre ``(d,)`` [m/s], 0 for none, or a function of time [s]. For
             a free body, it is the velocity at the start.
-        angular_velocity: angular velocity [rad/s], a number in the plane or ``(3,)`` in space, or a
+        angular_velocity: Angular velocity [rad/s], a number in the plane or ``(3,)`` in space, or a
             function of time [s]. For a free body, it is the angular velocity at the start.
-        centre: centre of rotation ``(d,)`` [m]. None for the centre of mass of a free body, or for
+        centre: Centre of rotation ``(d,)`` [m]. None for the centre of mass of a free body, or for
             the centre of the bounds of any other body (0 where these are infinite).
-        rotation: rotation of the shape about the centre before the start [rad], an angle in the
+        rotation: Rotation of the shape about the centre before the start [rad], an angle in the
             plane, or a vector ``(3,)`` in space whose length is the angle.
-        inertia: inertia of a free body, for example ``rigid.inertia_of(shape, density)``.
-        gravity: force per mass on a free body ``(d,)`` [m/s^2], or a function of time [s].
-        force: additional force on the centre of a free body ``(d,)`` [N], or a function of time
+        inertia: Inertia of a free body, for example ``rigid.inertia_of(shape, density)``.
+        gravity: Force per mass on a free body ``(d,)`` [m/s^2], or a function of time [s].
+        force: Additional force on the centre of a free body ``(d,)`` [N], or a function of time
             [s].
-        torque: additional torque on a free body [N m], a number in the plane or ``(3,)`` in space,
+        torque: Additional torque on a free body [N m], a number in the plane or ``(3,)`` in space,
             or a function of time [s].
-        friction: coefficient of friction [-], infinite for no slip.
-        stiffness: stiffness of the barrier, in units of the mass of a point over the square of the
+        friction: Coefficient of friction [-], infinite for no slip.
+        stiffness: Stiffness of the barrier, in units of the mass of a point over the square of the
             longest allowed time step [-].
-        spacing: spacing of the samples of the distance [m]. None for half the reach.
-        name: name in messages. None for the shape.
+        spacing: Spacing of the samples of the distance [m]. None for half the reach.
+        name: Name in messages. None for the shape.
 
     Attributes:
-        dim: space dimension d.
-        position: position of the centre ``(d,)`` [m].
-        is_free: whether the body has an inertia.
-        error: error of sampled distances near the surface [m], 0 for boxes.
+        dim: Space dimension d.
+        position: Position of the centre ``(d,)`` [m].
+        is_free: Whether the body has an inertia.
+        error: Error of sampled distances near the surface [m], 0 for boxes.
 
     Raises:
-        ValueError: if reach or stiffness is not positive, friction is negative, gravity or loads
+        ValueError: If reach or stiffness is not positive, friction is negative, gravity or loads
             are given for a body that is not free, a value has a wrong shape or is not finite, or
             the shape cannot be sampled.
     """
@@ -227,7 +227,7 @@ class RigidBody:
         """Return signed distances of positions from the body now, and their gradients.
 
         Args:
-            x: positions ``(n, d)`` [m].
+            x: Positions ``(n, d)`` [m].
 
         Returns:
             Distances ``(n,)`` [m], infinite outside the samples, and normals ``(n, d)`` [-].
@@ -243,10 +243,10 @@ class RigidBody:
         """Begin a step: set the prescribed motion at its start, and reset the forces.
 
         Args:
-            time: time at the start of the step [s].
+            time: Time at the start of the step [s].
 
         Raises:
-            ValueError: if a velocity or load is not finite.
+            ValueError: If a velocity or load is not finite.
         """
         if not self.is_free:
             self._set_motion(time)
@@ -267,11 +267,11 @@ class RigidBody:
         at the last ``settle``.
 
         Args:
-            start: time at the last ``settle`` [s].
-            end: time at the end of the motion [s].
+            start: Time at the last ``settle`` [s].
+            end: Time at the end of the motion [s].
 
         Raises:
-            ValueError: if the body is free, or a velocity is not finite.
+            ValueError: If the body is free, or a velocity is not finite.
         """
         if self.is_free:
             raise ValueError(
@@ -286,7 +286,7 @@ class RigidBody:
         """Return the displacements of material points of the body since the last ``settle`` [m].
 
         Args:
-            x: positions at that time ``(n, d)`` [m], inside the body or not.
+            x: Positions at that time ``(n, d)`` [m], inside the body or not.
 
         Returns:
             Displacements ``(n, d)`` [m].
@@ -305,7 +305,7 @@ class RigidBody:
         """Return the data of the contact law at points, for the current place of the body.
 
         Args:
-            longest: longest allowed time step [s].
+            longest: Longest allowed time step [s].
         """
         share = 1.0
         if self.inertia is not None:
@@ -323,9 +323,9 @@ class RigidBody:
         """Move through a step.
 
         Args:
-            time: time at the start of the step [s].
-            dt: length of the step [s].
-            pushed: totals ``(8,)`` of the contact forces on the points of all ranks.
+            time: Time at the start of the step [s].
+            dt: Length of the step [s].
+            pushed: Totals ``(8,)`` of the contact forces on the points of all ranks.
         """
         self._pushed = pushed
         if self.inertia is None:
@@ -342,8 +342,8 @@ class RigidBody:
         """End a step.
 
         Args:
-            dt: length of the step [s].
-            held: totals ``(8,)`` of the forces that kept the points of all ranks outside the body,
+            dt: Length of the step [s].
+            held: Totals ``(8,)`` of the forces that kept the points of all ranks outside the body,
                 averaged over the step.
         """
         self._held, self._touched = held, held[6:].copy()

@@ -49,21 +49,21 @@ class Contact(NamedTuple):
     """Data of a rigid body for the contact law.
 
     Attributes:
-        field: its ``Distance``.
-        rotation: rotation matrix of the body ``(d, d)`` [-].
-        centre: current position of the centre ``(d,)`` [m].
-        origin: position of the centre when the shape was given ``(d,)`` [m].
-        rotation_before: rotation matrix at the start of the step ``(d, d)`` [-].
-        centre_before: position of the centre at the start of the step ``(d,)`` [m].
-        velocity: velocity of the centre ``(d,)`` [m/s].
-        spin: spin matrix ``(d, d)`` [1/s]: a place at r from the centre moves with spin r.
-        reach: reach of the barrier [m].
-        stiffness: stiffness of the barrier, in units of the mass of a point over the square of the
+        field: Its ``Distance``.
+        rotation: Rotation matrix of the body ``(d, d)`` [-].
+        centre: Current position of the centre ``(d,)`` [m].
+        origin: Position of the centre when the shape was given ``(d,)`` [m].
+        rotation_before: Rotation matrix at the start of the step ``(d, d)`` [-].
+        centre_before: Position of the centre at the start of the step ``(d,)`` [m].
+        velocity: Velocity of the centre ``(d,)`` [m/s].
+        spin: Spin matrix ``(d, d)`` [1/s]: a place at r from the centre moves with spin r.
+        reach: Reach of the barrier [m].
+        stiffness: Stiffness of the barrier, in units of the mass of a point over the square of the
             longest time step [-].
-        friction: coefficient of friction [-].
-        share: factor on the forces [-], so that points do not throw off a free body that is lighter
+        friction: Coefficient of friction [-].
+        share: Factor on the forces [-], so that points do not throw off a free body that is lighter
             than they are.
-        longest: longest allowed time step [s]. Stiffnesses refer to it, because steps are shortened
+        longest: Longest allowed time step [s]. Stiffnesses refer to it, because steps are shortened
             to end at a given time, and another stiffness would push what is at rest.
     """
 
@@ -93,12 +93,12 @@ def gap(x, first, i, body, y, normal):
     """Return the distance of a point from a body [m], and set the direction away from it.
 
     Args:
-        x: positions of points [m], by component and point.
-        first: row of the first component.
-        i: column of the point.
-        body: the ``Contact``.
-        y: position of the point in the frame of the body ``(d,)`` [m], overwritten.
-        normal: direction in the frame of the body ``(d,)`` [-], overwritten.
+        x: Positions of points [m], by component and point.
+        first: Row of the first component.
+        i: Column of the point.
+        body: The ``Contact``.
+        y: Position of the point in the frame of the body ``(d,)`` [m], overwritten.
+        normal: Direction in the frame of the body ``(d,)`` [-], overwritten.
     """
     for k in range(len(y)):
         y[k] = body.origin[k]
@@ -112,9 +112,9 @@ def turn(body, vector, work):
     """Rotate a vector from the frame of the body into space.
 
     Args:
-        body: the ``Contact``.
-        vector: vector ``(d,)``, overwritten.
-        work: temporary vector ``(d,)``.
+        body: The ``Contact``.
+        vector: Vector ``(d,)``, overwritten.
+        work: Temporary vector ``(d,)``.
     """
     for k in range(len(vector)):
         work[k] = vector[k]
@@ -129,12 +129,12 @@ def relative_velocity(x, v, first, i, body, result):
     """Set the velocity of a point relative to the body.
 
     Args:
-        x: positions of points [m], by component and point.
-        v: velocities of points [m/s], by component and point.
-        first: row of the first component.
-        i: column of the point.
-        body: the ``Contact``.
-        result: relative velocity ``(d,)`` [m/s], overwritten.
+        x: Positions of points [m], by component and point.
+        v: Velocities of points [m/s], by component and point.
+        first: Row of the first component.
+        i: Column of the point.
+        body: The ``Contact``.
+        result: Relative velocity ``(d,)`` [m/s], overwritten.
     """
     for k in range(len(result)):
         result[k] = v[first + k, i] - body.velocity[k]
@@ -147,8 +147,8 @@ def dot(a, b):
     """Return the scalar product.
 
     Args:
-        a: vector ``(d,)``.
-        b: vector ``(d,)``.
+        a: Vector ``(d,)``.
+        b: Vector ``(d,)``.
     """
     result = 0.0
     for k in range(len(a)):
@@ -161,12 +161,12 @@ def add_to_total(x, first, i, body, force, total):
     """Add a force on a point, and its moment about the centre of the body, to totals.
 
     Args:
-        x: positions of points [m], by component and point.
-        first: row of the first component.
-        i: column of the point.
-        body: the ``Contact``.
-        force: force on the point ``(d,)`` [N].
-        total: totals ``(8,)``; see ``body.TOTALS``.
+        x: Positions of points [m], by component and point.
+        first: Row of the first component.
+        i: Column of the point.
+        body: The ``Contact``.
+        force: Force on the point ``(d,)`` [N].
+        total: Totals ``(8,)``; see ``body.TOTALS``.
     """
     d = len(force)
     for k in range(d):
@@ -182,17 +182,17 @@ def contact_force(x, v, slip, first, i, m, body, dt, work, force, total):
     """Set the force of a body on a point, and add it to totals.
 
     Args:
-        x: positions of points [m], by component and point.
-        v: velocities of points [m/s], by component and point.
-        slip: springs and displacements along the body [m], two vectors per point.
-        first: row of the first component.
-        i: column of the point.
-        m: mass of the point [kg].
-        body: the ``Contact``.
-        dt: time step [s].
-        work: at least four temporary vectors ``(d,)``.
-        force: force on the point ``(d,)`` [N], overwritten.
-        total: totals ``(8,)``; see ``body.TOTALS``.
+        x: Positions of points [m], by component and point.
+        v: Velocities of points [m/s], by component and point.
+        slip: Springs and displacements along the body [m], two vectors per point.
+        first: Row of the first component.
+        i: Column of the point.
+        m: Mass of the point [kg].
+        body: The ``Contact``.
+        dt: Time step [s].
+        work: At least four temporary vectors ``(d,)``.
+        force: Force on the point ``(d,)`` [N], overwritten.
+        total: Totals ``(8,)``; see ``body.TOTALS``.
 
     Returns:
         The distance [m]. If it is not less than the reach, there is no force, and none is set.
@@ -241,18 +241,18 @@ def keep_out(x, x_next, v, slip, first, i, m, body, dt, work, force, total):
     within reach.
 
     Args:
-        x: positions of points at the start of the step [m], by component and point.
-        x_next: positions at the end of the step [m], corrected in place.
-        v: velocities of points [m/s], corrected in place.
-        slip: springs and displacements along the body [m], two vectors per point.
-        first: row of the first component.
-        i: column of the point.
-        m: mass of the point [kg].
-        body: the ``Contact``.
-        dt: time step [s].
-        work: at least three temporary vectors ``(d,)``.
-        force: temporary vector ``(d,)`` for the force [N].
-        total: totals ``(8,)``; see ``body.TOTALS``.
+        x: Positions of points at the start of the step [m], by component and point.
+        x_next: Positions at the end of the step [m], corrected in place.
+        v: Velocities of points [m/s], corrected in place.
+        slip: Springs and displacements along the body [m], two vectors per point.
+        first: Row of the first component.
+        i: Column of the point.
+        m: Mass of the point [kg].
+        body: The ``Contact``.
+        dt: Time step [s].
+        work: At least three temporary vectors ``(d,)``.
+        force: Temporary vector ``(d,)`` for the force [N].
+        total: Totals ``(8,)``; see ``body.TOTALS``.
 
     Returns:
         Whether the point was too close.

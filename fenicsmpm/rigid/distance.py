@@ -30,11 +30,11 @@ class Distance(NamedTuple):
     """Data of the compiled distance.
 
     Attributes:
-        lower: first corner of a box, or of the lattice of samples ``(d,)`` [m].
-        upper: opposite corner ``(d,)`` [m].
-        count: number of samples in each direction ``(d,)``, 0 for a box.
-        per_metre: samples per length in each direction ``(d,)`` [1/m].
-        samples: distances and their gradients ``(n, 1 + d)``, with the last direction fastest.
+        lower: First corner of a box, or of the lattice of samples ``(d,)`` [m].
+        upper: Opposite corner ``(d,)`` [m].
+        count: Number of samples in each direction ``(d,)``, 0 for a box.
+        per_metre: Samples per length in each direction ``(d,)`` [1/m].
+        samples: Distances and their gradients ``(n, 1 + d)``, with the last direction fastest.
     """
 
     lower: Any
@@ -48,8 +48,8 @@ def of_box(lower: Array, upper: Array) -> Distance:
     """Return the distance from an axis-parallel box.
 
     Args:
-        lower: corner ``(d,)`` [m].
-        upper: opposite corner ``(d,)`` [m]. Both corners may have infinite components.
+        lower: Corner ``(d,)`` [m].
+        upper: Opposite corner ``(d,)`` [m]. Both corners may have infinite components.
     """
     d = len(lower)
     none = np.zeros(d)
@@ -60,17 +60,17 @@ def sampled(shape: Any, spacing: float, margin: float) -> tuple[Distance, float]
     """Sample the distance from a shape.
 
     Args:
-        shape: object with ``bounds()``, two corners ``(d,)`` of a box that contains it, and
+        shape: Object with ``bounds()``, two corners ``(d,)`` of a box that contains it, and
             ``distance`` of positions ``(3, n)`` [m].
-        spacing: largest spacing of the samples [m].
-        margin: distance by which the samples extend beyond that box [m].
+        spacing: Largest spacing of the samples [m].
+        margin: Distance by which the samples extend beyond that box [m].
 
     Returns:
         The samples, and the largest error [m] of the interpolated distance within the margin of the
         surface. The error is measured at the centres between samples.
 
     Raises:
-        ValueError: if there would be too many samples, a distance is not finite, or the slope of
+        ValueError: If there would be too many samples, a distance is not finite, or the slope of
             the function is not one near the surface.
     """
     first, last = shape.bounds()
@@ -127,9 +127,9 @@ def distance_at(field, y, normal):
     """Return the distance of a point from a shape, and set the direction away from it.
 
     Args:
-        field: the ``Distance``.
-        y: position ``(d,)`` in the frame in which the shape was given [m].
-        normal: direction ``(d,)``, overwritten. It is zero where there is no direction.
+        field: The ``Distance``.
+        y: Position ``(d,)`` in the frame in which the shape was given [m].
+        normal: Direction ``(d,)``, overwritten. It is zero where there is no direction.
 
     Returns:
         The distance [m], negative inside, infinite outside the samples.
@@ -193,8 +193,8 @@ def distances_at(field, y):
     """Return distances ``(n,)`` and normals ``(n, d)`` of points; see ``distance_at``.
 
     Args:
-        field: the ``Distance``.
-        y: positions ``(n, d)`` in the frame in which the shape was given [m].
+        field: The ``Distance``.
+        y: Positions ``(n, d)`` in the frame in which the shape was given [m].
     """
     distances, normals = np.empty(len(y)), np.zeros(y.shape)
     for p in range(len(y)):

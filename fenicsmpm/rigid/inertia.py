@@ -16,17 +16,17 @@ class Inertia:
     """Mass and moments of inertia of a rigid body.
 
     Args:
-        mass: mass [kg], in the plane per length [kg/m].
-        tensor: tensor of inertia about the centre ``(3, 3)`` [kg m^2]. In the plane one number, the
+        mass: Mass [kg], in the plane per length [kg/m].
+        tensor: Tensor of inertia about the centre ``(3, 3)`` [kg m^2]. In the plane one number, the
             moment about the normal axis per length [kg m].
-        centre: centre of mass at the start ``(d,)`` [m].
+        centre: Centre of mass at the start ``(d,)`` [m].
 
     Attributes:
-        moments: moments about the principal axes ``(3,)`` [kg m^2], in the plane [kg m].
-        axes: principal axes at the start ``(3, 3)``, the columns of a rotation matrix.
+        moments: Moments about the principal axes ``(3,)`` [kg m^2], in the plane [kg m].
+        axes: Principal axes at the start ``(3, 3)``, the columns of a rotation matrix.
 
     Raises:
-        ValueError: if the mass is not positive and finite, or the tensor has a wrong shape or is
+        ValueError: If the mass is not positive and finite, or the tensor has a wrong shape or is
             not symmetric and positive definite. Also if no body can have the tensor, because a
             principal moment is larger than the sum of the others.
     """
@@ -75,12 +75,12 @@ def inertia_of(shape: Any, density: float) -> Inertia:
     """Return the inertia of a homogeneous body.
 
     Args:
-        shape: shape with ``volume``, ``centroid`` and ``second_moment``, such as those of
+        shape: Shape with ``volume``, ``centroid`` and ``second_moment``, such as those of
             ``fenicsmpm.shapes``.
-        density: density [kg/m^3].
+        density: Density [kg/m^3].
 
     Raises:
-        ValueError: if the density is not positive and finite, or the shape is unbounded.
+        ValueError: If the density is not positive and finite, or the shape is unbounded.
     """
     if not 0 < density < math.inf:
         raise ValueError(f"the density must be positive and finite: {density} kg/m^3")

@@ -15,8 +15,8 @@ def product(p: Array, q: Array) -> Array:
     """Return the product ``(4,)`` of quaternions with real parts first: rotate by q, then by p.
 
     Args:
-        p: quaternion ``(4,)``.
-        q: quaternion ``(4,)``.
+        p: Quaternion ``(4,)``.
+        q: Quaternion ``(4,)``.
     """
     a, u, b, v = p[0], p[1:], q[0], q[1:]
     return np.array([a * b - u @ v, *(a * v + b * u + np.cross(u, v))])
@@ -26,7 +26,7 @@ def about(vector: Array) -> Array:
     """Return the quaternion ``(4,)`` of the rotation about a vector by its length.
 
     Args:
-        vector: rotation vector ``(3,)`` [rad].
+        vector: Rotation vector ``(3,)`` [rad].
     """
     angle = math.sqrt(vector @ vector)
     share = math.sin(angle / 2) / angle if angle > 0 else 0.5
@@ -37,7 +37,7 @@ def matrix(q: Array) -> Array:
     """Return the rotation matrix ``(3, 3)`` of a unit quaternion.
 
     Args:
-        q: quaternion ``(4,)`` of length one.
+        q: Quaternion ``(4,)`` of length one.
     """
     a, (b, c, d) = q[0], q[1:]
     return np.array(
@@ -53,7 +53,7 @@ def skew(w: Array) -> Array:
     """Return the matrix ``(3, 3)`` of the cross product with a vector.
 
     Args:
-        w: vector ``(3,)``.
+        w: Vector ``(3,)``.
     """
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
@@ -67,11 +67,11 @@ def spin(q: Array, momentum: Array, axes: Array, moments: Array, dt: float) -> A
     oscillates without drift.
 
     Args:
-        q: quaternion of the rotation since the start ``(4,)``.
-        momentum: angular momentum about the centre in space ``(3,)`` [kg m^2/s], which is constant.
-        axes: principal axes at the start ``(3, 3)``, in columns.
-        moments: moments about these axes ``(3,)`` [kg m^2].
-        dt: time [s].
+        q: Quaternion of the rotation since the start ``(4,)``.
+        momentum: Angular momentum about the centre in space ``(3,)`` [kg m^2/s], which is constant.
+        axes: Principal axes at the start ``(3, 3)``, in columns.
+        moments: Moments about these axes ``(3,)`` [kg m^2].
+        dt: Time [s].
 
     Returns:
         Quaternion of the rotation after the time ``(4,)``.

@@ -120,13 +120,13 @@ def share_velocities(
 
 
 def require_apart(contacts: Sequence[Contact]) -> None:
-    """Raise ValueError, on all ranks, for bodies in contact that are in each other (collective).
+    """Raise ValueError, on all ranks, for bodies in contact that are in each other. Collective.
 
     A cell that is nearly full of both shows that they overlap by about a cell or more. Less may be
     wanted, to begin with a pressure.
 
     Args:
-        contacts: between bodies.
+        contacts: Between bodies.
     """
     for contact in contacts:
         first, second = filled_fractions(contact.first), filled_fractions(contact.second)

@@ -109,7 +109,7 @@ class ExplicitMPM(Described):
         rigid: Rigid bodies.
         contacts: Contacts with their forces and gaps in the last step.
         reaction: Force of Dirichlet conditions on the grid in the last step in N, ``(d,)``.
-        duration: dt in s as a constant for UFL, for example in ``updates``.
+        duration: Dt in s as a constant for UFL, for example in ``updates``.
         seconds: Computing time spent in each stage so far, in s.
 
     Raises:

@@ -16,14 +16,14 @@ logger = logging.getLogger(__name__)
 
 
 def check_bcs(bcs: Sequence[fem.DirichletBC], V: fem.FunctionSpace) -> None:
-    """Raise ValueError if Dirichlet conditions would have no or a wrong effect (collective).
+    """Raise ValueError if Dirichlet conditions would have no or a wrong effect. Collective.
 
     Args:
         bcs: Dirichlet conditions.
-        V: function space of the unknown.
+        V: Function space of the unknown.
 
     Raises:
-        ValueError: if a condition is defined on another space, or has no degrees of freedom.
+        ValueError: If a condition is defined on another space, or has no degrees of freedom.
     """
     for bc in bcs:
         if not _compat.is_on(bc, V):
@@ -41,10 +41,10 @@ def require_fields(body: MaterialPoints) -> None:
     """Raise ValueError if a body lacks the fields of ``set_initial_state``.
 
     Args:
-        body: the body.
+        body: The body.
 
     Raises:
-        ValueError: if a field is missing.
+        ValueError: If a field is missing.
     """
     needed = ("mass", "V_0", "F", "J", "u", "v")
     missing = [name for name in needed if name not in body]
@@ -59,10 +59,10 @@ def require_points(bodies: Sequence[MaterialPoints]) -> None:
     """Raise ValueError, on all ranks, if no body has any points.
 
     Args:
-        bodies: the bodies.
+        bodies: The bodies.
 
     Raises:
-        ValueError: if all bodies are empty.
+        ValueError: If all bodies are empty.
     """
     if sum(body.size_global for body in bodies) == 0:
         raise ValueError("all bodies are empty: there are no points to move")
@@ -72,8 +72,8 @@ def warn_of_points_that_stay(R: Form, moving: Sequence[MaterialPoints]) -> None:
     """Log a warning for integrals over points that do not move.
 
     Args:
-        R: compiled residual.
-        moving: point sets that the simulation moves.
+        R: Compiled residual.
+        moving: Point sets that the simulation moves.
     """
     for integral in R.point_integrals:
         if integral.points not in moving:

@@ -31,16 +31,16 @@ class CourantStep:
     number of points grows.
 
     Args:
-        laws: law of each body, or its P-wave modulus [Pa].
-        factor: multiple of the critical step of explicit dynamics [-].
-        smallest: lower bound of the step [s].
-        largest: upper bound of the step [s].
+        laws: Law of each body, or its P-wave modulus [Pa].
+        factor: Multiple of the critical step of explicit dynamics [-].
+        smallest: Lower bound of the step [s].
+        largest: Upper bound of the step [s].
 
     Attributes:
-        history: step lengths returned so far [s].
+        history: Step lengths returned so far [s].
 
     Raises:
-        ValueError: if there are no bodies, the factor or a modulus is not positive, or the bounds
+        ValueError: If there are no bodies, the factor or a modulus is not positive, or the bounds
             contradict each other. A call raises it if there are no points, or no points with mass.
     """
 
@@ -52,7 +52,7 @@ class CourantStep:
         smallest: float = 0.0,
         largest: float = math.inf,
     ) -> None:
-        """Find the cell size (collective)."""
+        """Find the cell size. Collective."""
         if not (0 < factor < math.inf and 0 <= smallest <= largest and largest > 0):
             raise ValueError(
                 "the factor of the Courant step must be positive and its bounds in order: "
@@ -80,7 +80,7 @@ class CourantStep:
         self._space = fem.functionspace(mesh, ("Lagrange", 1))
 
     def __call__(self) -> float:
-        """Return the length of the step that starts from the current points [s] (collective)."""
+        """Return the length of the step that starts from the current points [s]. Collective."""
         require_points(list(self._moduli))
         sums = np.zeros(0)
         for body, modulus in self._moduli.items():

@@ -53,26 +53,26 @@ class Products(Protocol):
     """Interface of matrix terms that are known by their products with vectors."""
 
     def operator(self, A: PETSc.Mat, preconditions: bool) -> PETSc.Mat:
-        """Return A plus the terms as an operator that can be scaled (collective).
+        """Return A plus the terms as an operator that can be scaled. Collective.
 
         Args:
-            A: assembled matrix.
-            preconditions: whether A is also the matrix of the preconditioner. Then PETSc scales A
+            A: Assembled matrix.
+            preconditions: Whether A is also the matrix of the preconditioner. Then PETSc scales A
                 by itself.
         """
 
     def preconditioner(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A plus those terms that a preconditioner needs, as a new matrix (collective).
+        """Return A plus those terms that a preconditioner needs, as a new matrix. Collective.
 
         Args:
-            A: assembled matrix.
+            A: Assembled matrix.
         """
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A plus the terms as a matrix, which the owner of the terms keeps (collective).
+        """Return A plus the terms as a matrix, which the owner of the terms keeps. Collective.
 
         Args:
-            A: assembled matrix.
+            A: Assembled matrix.
         """
 
 
@@ -98,21 +98,21 @@ class LinearSolver:
         petsc_options: PETSc options. With a "pc_type" other than "lu" they replace the default
             options. Otherwise they modify the options of MUMPS, which then solves all systems. None
             for the automatic choice above.
-        prefix: prefix of the options in the database of PETSc, by which command-line options reach
+        prefix: Prefix of the options in the database of PETSc, by which command-line options reach
             the solver. None for a unique prefix.
-        dim: dimension of the mesh.
+        dim: Dimension of the mesh.
 
     Attributes:
         ksp: PETSc solver with the given options, or with those of MUMPS.
-        method: method that solved the last system.
+        method: Method that solved the last system.
         iterations: Krylov iterations for the last system, 0 if MUMPS solved it.
-        systems: number of systems solved so far.
+        systems: Number of systems solved so far.
         total_iterations: Krylov iterations for all systems so far.
-        direct_after_all: number of systems so far that MUMPS solved because GMRES did not converge.
-        seconds: time spent so far [s].
+        direct_after_all: Number of systems so far that MUMPS solved because GMRES did not converge.
+        seconds: Time spent so far [s].
 
     Raises:
-        ValueError: if PETSc rejects the options, for example for a preconditioner that its build
+        ValueError: If PETSc rejects the options, for example for a preconditioner that its build
             lacks.
     """
 
@@ -124,7 +124,7 @@ class LinearSolver:
         *,
         dim: int = 2,
     ) -> None:
-        """Create the solver and set its options (collective)."""
+        """Create the solver and set its options. Collective."""
         collect_garbage(comm)  # frees earlier solvers, or MPI would run out of communicators
         given = petsc_options or {}
         options = _direct(comm) | given if given.get("pc_type", "lu") == "lu" else given
@@ -144,23 +144,23 @@ class LinearSolver:
         rtol: float = TIGHT,
         products: Products | None = None,
     ) -> int:
-        """Solve A x = b (collective).
+        """Solve A x = b. Collective.
 
         Args:
-            A: assembled matrix.
-            b: right-hand side.
-            x: solution, overwritten.
-            rtol: tolerance of the residual relative to b [-]. It applies to the automatic choice of
+            A: Assembled matrix.
+            b: Right-hand side.
+            x: Solution, overwritten.
+            rtol: Tolerance of the residual relative to b [-]. It applies to the automatic choice of
                 iterations only; given PETSc options have their own tolerance.
-            products: terms that are added to the matrix.
+            products: Terms that are added to the matrix.
 
         Returns:
             Number of Krylov iterations.
 
         Raises:
-            LinearSolverError: if the system could not be solved, with the reason of PETSc. Usually
+            LinearSolverError: If the system could not be solved, with the reason of PETSc. Usually
                 the matrix is singular.
-            ValueError: after the first system, if PETSc did not use some of the given options.
+            ValueError: After the first system, if PETSc did not use some of the given options.
         """
         begin = time.perf_counter()
         try:
@@ -174,18 +174,18 @@ class LinearSolver:
         return self.iterations
 
     def iterates(self, A: PETSc.Mat) -> bool:
-        """Return whether GMRES with incomplete factors is tried first (collective).
+        """Return whether GMRES with incomplete factors is tried first. Collective.
 
         Args:
-            A: assembled matrix.
+            A: Assembled matrix.
         """
         return self._is_automatic and self._dim == 3 and _is_large(A)
 
     def scaled_norm(self, b: PETSc.Vec) -> float | None:
-        """Return the norm of a residual with the scaling of GMRES (collective).
+        """Return the norm of a residual with the scaling of GMRES. Collective.
 
         Args:
-            b: residual.
+            b: Residual.
 
         Returns:
             The norm, or None if MUMPS solved the last system.
@@ -349,7 +349,7 @@ class _Gmres:
         rtol: float,
         products: Products | None,
     ) -> tuple[int, int]:
-        """Solve a system; return the reason of PETSc and the number of iterations (collective)."""
+        """Solve a system; return the reason of PETSc and the number of iterations. Collective."""
         ksp = self._ksp
         failed = ksp.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
         is_new = failed or A is not self._matrix
@@ -393,7 +393,7 @@ def _direct(comm: Any) -> dict[str, Any]:
 
 
 def _iterations_for_factors(F: PETSc.Mat) -> float:
-    """Return how many solves with factors of MUMPS cost as much as the factors (collective).
+    """Return how many solves with factors of MUMPS cost as much as the factors. Collective.
 
     The estimate uses operation counts instead of measured times, so that runs are reproducible. The
     speed of the processor limits the factorization, the speed of memory limits the solves.
@@ -428,7 +428,7 @@ def _create(
 
 
 def _is_large(A: PETSc.Mat) -> bool:
-    """Return whether many rows have entries other than the diagonal (collective)."""
+    """Return whether many rows have entries other than the diagonal. Collective."""
     n = A.getSize()[0]
     if n < _MANY:
         return False

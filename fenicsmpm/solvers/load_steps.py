@@ -26,17 +26,17 @@ def solve_in_load_steps(
 
     Args:
         solver: Newton's method for the problem.
-        set_load: function that sets loads and Dirichlet data for a load factor between 0 and 1.
-        first: first step of the load factor [-].
-        smallest: smallest step to try [-].
+        set_load: Function that sets loads and Dirichlet data for a load factor between 0 and 1.
+        first: First step of the load factor [-].
+        smallest: Smallest step to try [-].
 
     Returns:
         Result of each successful step.
 
     Raises:
-        NewtonError: the last failure, if a step below ``smallest`` would be needed. Unknown and
+        NewtonError: The last failure, if a step below ``smallest`` would be needed. Unknown and
             load are then those of the last successful step.
-        ValueError: if the first step lies outside (0, 1].
+        ValueError: If the first step lies outside (0, 1].
     """
     if not 0 < first <= 1:
         raise ValueError(f"the first load step must lie in (0, 1]: {first}")

@@ -55,8 +55,8 @@ class NewtonError(RuntimeError):
     Attributes:
         reason: "diverged", "not finite", "linear solver", "load without material", "no support" or
             "inverted".
-        message: what happened, and what to do.
-        residuals: residual norms so far.
+        message: What happened, and what to do.
+        residuals: Residual norms so far.
     """
 
     def __init__(self, reason: str, message: str, residuals: Sequence[float]) -> None:
@@ -75,13 +75,13 @@ class NewtonResult(Described):
     """Statistics of a solution by Newton's method.
 
     Attributes:
-        iterations: number of linear systems solved.
-        linear_iterations: number of Krylov iterations for these systems, 0 for direct solutions.
-        tangents: number of tangents assembled and factorized.
-        residuals: norms of the residual on free degrees of freedom, before the first and after each
+        iterations: Number of linear systems solved.
+        linear_iterations: Number of Krylov iterations for these systems, 0 for direct solutions.
+        tangents: Number of tangents assembled and factorized.
+        residuals: Norms of the residual on free degrees of freedom, before the first and after each
             iteration.
-        step_lengths: factor applied to each Newton step, 1 unless the step was cut.
-        seconds: time spent on "assembly", on the "linear solver" and on the "matrix pattern" [s].
+        step_lengths: Factor applied to each Newton step, 1 unless the step was cut.
+        seconds: Time spent on "assembly", on the "linear solver" and on the "matrix pattern" [s].
     """
 
     iterations: int = 0
@@ -108,36 +108,36 @@ class NewtonSolver:
     """Newton's method with true residual norms and an optional line search.
 
     Args:
-        R: residual, a UFL form of rank 1 with integrals over points, cells or facets.
-        U: the unknown in the residual.
+        R: Residual, a UFL form of rank 1 with integrals over points, cells or facets.
+        U: The unknown in the residual.
         bcs: Dirichlet conditions.
-        J: tangent, a UFL form of rank 2. None for ``ufl.derivative(R, U)`` plus the contribution of
+        J: Tangent, a UFL form of rank 2. None for ``ufl.derivative(R, U)`` plus the contribution of
             each ``LumpedProjection`` in R.
-        rtol: tolerance of the residual relative to the first one [-]. A residual as small as the
+        rtol: Tolerance of the residual relative to the first one [-]. A residual as small as the
             round-off in its own terms also counts as zero, whatever its units.
-        atol: absolute tolerance of the residual, in its units.
-        max_iterations: maximum number of linear systems to solve.
-        keep_tangent: if an iteration reduces the residual to less than this fraction [-], the next
+        atol: Absolute tolerance of the residual, in its units.
+        max_iterations: Maximum number of linear systems to solve.
+        keep_tangent: If an iteration reduces the residual to less than this fraction [-], the next
             iteration reuses the tangent. 0 is Newton's method. 0.01 saves assembly and
             factorization in steps so short that the first tangent suffices.
-        line_search: whether to shorten steps that do not decrease the residual: to the length at
+        line_search: Whether to shorten steps that do not decrease the residual: to the length at
             which the residual does no work on the step, if the step goes beyond that, and otherwise
             by halving. A step with a residual that is not finite is always halved.
-        tying: tied nodes with little mass, which are eliminated from the system. Residuals are then
+        tying: Tied nodes with little mass, which are eliminated from the system. Residuals are then
             those of the remaining degrees of freedom.
-        petsc_options: options of the linear solver; see ``LinearSolver``. Without options, the
+        petsc_options: Options of the linear solver; see ``LinearSolver``. Without options, the
             tolerance of the linear solver is no tighter than Newton's method needs. For quadratic
             convergence to the end, give a Krylov method with "ksp_rtol", or use MUMPS with
             ``{"pc_type": "lu"}``.
 
     Attributes:
-        R: compiled residual.
-        J: compiled tangent.
-        U: the unknown.
+        R: Compiled residual.
+        J: Compiled tangent.
+        U: The unknown.
         bcs: Dirichlet conditions, which may be replaced between solutions.
 
     Raises:
-        ValueError: if keep_tangent lies outside [0, 1), or nodes are tied in another space.
+        ValueError: If keep_tangent lies outside [0, 1), or nodes are tied in another space.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class NewtonSolver:
         tying: Tying | None = None,
         petsc_options: dict[str, Any] | None = None,
     ) -> None:
-        """Compile the forms (collective)."""
+        """Compile the forms. Collective."""
         if not 0 <= keep_tangent < 1:
             raise ValueError(f"keep_tangent must lie in [0, 1): {keep_tangent}")
         if not isinstance(U, fem.Function):
@@ -190,14 +190,14 @@ class NewtonSolver:
         self._bits: npt.NDArray[np.float64] = np.full(len(self._parts), np.nan)
 
     def solve(self) -> NewtonResult:
-        """Find U with R(U) = 0, starting from its current values (collective).
+        """Find U with R(U) = 0, starting from its current values. Collective.
 
         Returns:
             Iterations, residual norms and times.
 
         Raises:
-            NewtonError: if the method fails. U then has its previous values.
-            ValueError: if a Dirichlet condition is defined on another space or has no degrees of
+            NewtonError: If the method fails. U then has its previous values.
+            ValueError: If a Dirichlet condition is defined on another space or has no degrees of
                 freedom, or if nothing fixes the level of the pressure.
         """
         check_bcs(self.bcs, self.U.function_space)
@@ -304,7 +304,7 @@ class NewtonSolver:
             logger.info("  %3d    %.6e    %.1e    %g", result.iterations, norm, reduction, length)
 
     def _require_support(self, norm: float, result: NewtonResult) -> None:
-        """Raise NewtonError for a load on nodes without material (collective).
+        """Raise NewtonError for a load on nodes without material. Collective.
 
         No step could balance such a load.
         """
@@ -330,19 +330,19 @@ class NewtonSolver:
         )
 
     def _inactive(self) -> npt.NDArray[np.int32]:
-        """Return the local dofs without material, and those of tied nodes (collective)."""
+        """Return the local dofs without material, and those of tied nodes. Collective."""
         inactive = forms.petsc.inactive_dofs(self.J, self._A)
         return inactive if self.tying is None else np.union1d(inactive, self.tying.tied_dofs)
 
     def _is_far(self) -> bool:
-        """Return whether the step moves a node by very many cells (collective)."""
+        """Return whether the step moves a node by very many cells. Collective."""
         step = np.abs(self._step.array_r)
         cells = self._least[: len(step)]
         here = bool(np.any((cells > 0) & (step > _VERY_FAR * cells)))
         return self.J.mesh.comm.allreduce(here, MPI.LOR)
 
     def _require_held(self, A: PETSc.Mat, result: NewtonResult) -> None:
-        """Raise NewtonError if a rigid motion of the body has no resistance (collective)."""
+        """Raise NewtonError if a rigid motion of the body has no resistance. Collective."""
         V = self.U.function_space
         error = require_supports(A, V, dof_positions(V), self._inactive())
         if error is not None:
@@ -386,7 +386,7 @@ class NewtonSolver:
         return new, length
 
     def _work(self, step: npt.NDArray[np.float64]) -> float:
-        """Return the work of the residual in b on a step, on free entries (collective)."""
+        """Return the work of the residual in b on a step, on free entries. Collective."""
         free = self._b.array_r.copy()
         for bc in self.bcs:
             _compat.bc_set(bc, free, np.zeros(len(free)), 0.0)
@@ -426,7 +426,7 @@ class NewtonSolver:
         """Assemble the tangent; if nodes are tied, also lift b.
 
         Args:
-            projections_stay: whether to reuse the terms of projections from the last tangent.
+            projections_stay: Whether to reuse the terms of projections from the last tangent.
         """
         with self._projected.held():
             self._projected.assemble(self.bcs, projections_stay)
@@ -451,7 +451,7 @@ class NewtonSolver:
         return math.sqrt(self.J.mesh.comm.allreduce(float(free @ free), MPI.SUM))
 
     def _first_norm(self) -> float:
-        """Return the norm of the residual, and store the size of its terms (collective)."""
+        """Return the norm of the residual, and store the size of its terms. Collective."""
         sizes = self._sizes
         with sizes.localForm() as local:
             local.set(0.0)
@@ -465,7 +465,7 @@ class NewtonSolver:
         return norm
 
     def _norms_of_parts(self, vector: PETSc.Vec) -> npt.NDArray[np.float64]:
-        """Return the norm of each part of the unknown, on free degrees of freedom (collective)."""
+        """Return the norm of each part of the unknown, on free degrees of freedom. Collective."""
         free = vector.array_r.copy()
         for bc in self.bcs:
             _compat.bc_set(bc, free, np.zeros(len(free)), 0.0)
@@ -474,10 +474,10 @@ class NewtonSolver:
         return np.sqrt(self.J.mesh.comm.allreduce(squares, MPI.SUM))
 
     def _is_round_off(self, was_no_use: bool) -> bool:
-        """Return whether the residual of each part is of the size of round-off (collective).
+        """Return whether the residual of each part is of the size of round-off. Collective.
 
         Args:
-            was_no_use: whether the last step did not reduce the residual.
+            was_no_use: Whether the last step did not reduce the residual.
         """
         norms, terms = self._norms_of_parts(self._b), self._of_parts
         if np.all(norms <= _ROUND_OFF * terms):
@@ -489,7 +489,7 @@ class NewtonSolver:
         return bool(np.all(norms <= share * terms + _LAST_BITS * self._bits))
 
     def _last_bits(self) -> npt.NDArray[np.float64]:
-        """Return the change of each part's residual by the last bits of U (collective)."""
+        """Return the change of each part's residual by the last bits of U. Collective."""
         b, x, present = self._b.copy(), self.U.x.array, self.U.x.array.copy()
         # The signs are irregular, since derivatives would not see a regular pattern. They agree on
         # all ranks.
@@ -511,8 +511,8 @@ class NewtonSolver:
         """Assemble R(U) into b; constrained entries become U - g, which the norm omits.
 
         Args:
-            lifted: whether to subtract J (g - U), for a step that ends on the Dirichlet data.
-            sizes: vector to which the absolute values of the summed terms are added.
+            lifted: Whether to subtract J (g - U), for a step that ends on the Dirichlet data.
+            sizes: Vector to which the absolute values of the summed terms are added.
         """
         b, x = self._b, self.U.x.array
         self._assemble(lifted, sizes)
@@ -538,12 +538,12 @@ class NewtonSolver:
             self.tying.restrict(b)
 
     def residual(self) -> npt.NDArray[np.float64]:
-        """Return R(U) on owned degrees of freedom, including reactions (collective)."""
+        """Return R(U) on owned degrees of freedom, including reactions. Collective."""
         self._assemble()
         return self._b.array_r.copy()
 
     def _has_gap(self) -> bool:
-        """Return whether U differs from its Dirichlet data anywhere (collective)."""
+        """Return whether U differs from its Dirichlet data anywhere. Collective."""
         x = self.U.x.array
         target = x.copy()
         for bc in self.bcs:

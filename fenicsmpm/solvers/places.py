@@ -11,10 +11,10 @@ from dolfinx import fem
 
 
 def dof_positions(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Return the ``(n_dofs, d)`` positions [m] of local degrees of freedom, unrolled (collective).
+    """Return the ``(n_dofs, d)`` positions [m] of local degrees of freedom, unrolled. Collective.
 
     Args:
-        V: function space.
+        V: Function space.
     """
     bs, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     if V.num_sub_spaces == 0 or bs > 1:
@@ -32,7 +32,7 @@ def parts_of(V: fem.FunctionSpace) -> list[npt.NDArray[np.int64]]:
     The values of different parts have different units.
 
     Args:
-        V: function space.
+        V: Function space.
     """
     if V.dofmap.index_map_bs > 1 or V.num_sub_spaces == 0:
         index_map = V.dofmap.index_map
@@ -44,13 +44,13 @@ def parts_of(V: fem.FunctionSpace) -> list[npt.NDArray[np.int64]]:
 def sizes_of_cells(
     V: fem.FunctionSpace, parts: list[npt.NDArray[np.int64]]
 ) -> npt.NDArray[np.float64]:
-    """Return the smallest cell size [m] at local dofs of displacements, 0 at others (collective).
+    """Return the smallest cell size [m] at local dofs of displacements, 0 at others. Collective.
 
     Gradients of displacements are added to 1, so their round-off is that of positions.
 
     Args:
-        V: function space.
-        parts: local dofs of the parts of V.
+        V: Function space.
+        parts: Local dofs of the parts of V.
     """
     domain = V.mesh
     dim, cells = domain.topology.dim, domain.topology.index_map(domain.topology.dim)

@@ -18,20 +18,20 @@ def require_pressure_level(
     parts: list[npt.NDArray[np.int64]],
     inactive: npt.NDArray[np.int32],
 ) -> None:
-    """Raise ValueError if the tangent times a constant pressure is zero (collective).
+    """Raise ValueError if the tangent times a constant pressure is zero. Collective.
 
     This happens if incompressible material fills a box with walls that are all fixed. The system is
     then singular, and round-off determines the level of the pressure.
 
     Args:
-        A: tangent.
-        V: function space of the tangent. Nothing is checked unless its parts are displacement and
+        A: Tangent.
+        V: Function space of the tangent. Nothing is checked unless its parts are displacement and
             pressure.
-        parts: local dofs of the parts of V.
-        inactive: local dofs without material.
+        parts: Local dofs of the parts of V.
+        inactive: Local dofs without material.
 
     Raises:
-        ValueError: on all ranks, if nothing fixes the level.
+        ValueError: On all ranks, if nothing fixes the level.
     """
     shapes = [V.sub(i).ufl_element().reference_value_shape for i in range(V.num_sub_spaces)]
     if [len(shape) for shape in shapes[:2]] != [1, 0]:

@@ -31,13 +31,13 @@ class ProjectedTangent:
     factor by factor.
 
     Args:
-        R: residual, UFL. None for no terms.
-        U: the unknown in the residual.
-        tying: tied nodes with little mass, which are eliminated from the system. None for none.
+        R: Residual, UFL. None for no terms.
+        U: The unknown in the residual.
+        tying: Tied nodes with little mass, which are eliminated from the system. None for none.
     """
 
     def __init__(self, R: ufl.Form | None, U: fem.Function, tying: Tying | None) -> None:
-        """Compile the factors (collective)."""
+        """Compile the factors. Collective."""
         self._tying, self._U = tying, U
         self._all = []
         for c in () if R is None else R.coefficients():
@@ -75,11 +75,11 @@ class ProjectedTangent:
                 factors.projection.x.array[:] = values
 
     def assemble(self, bcs: Sequence[fem.DirichletBC], stays: bool = False) -> None:
-        """Assemble the factors for the current U (collective).
+        """Assemble the factors for the current U. Collective.
 
         Args:
             bcs: Dirichlet conditions, whose rows and columns are omitted.
-            stays: whether to reuse the factors. The points must not have moved since.
+            stays: Whether to reuse the factors. The points must not have moved since.
         """
         if not self._all:
             return
@@ -100,11 +100,11 @@ class ProjectedTangent:
         self._mask.array_w[:] = mask
 
     def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute y = B D^-1 C x on dofs that are neither constrained nor tied (collective).
+        """Compute y = B D^-1 C x on dofs that are neither constrained nor tied. Collective.
 
         Args:
-            x: vector of the unknown.
-            y: result, overwritten.
+            x: Vector of the unknown.
+            y: Result, overwritten.
         """
         assert self._mask is not None
         self._free.pointwiseMult(x, self._mask)
@@ -115,21 +115,21 @@ class ProjectedTangent:
         y.pointwiseMult(y, self._mask)
 
     def mult_all(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Compute y = B D^-1 C x, ignoring conditions and tied nodes (collective).
+        """Compute y = B D^-1 C x, ignoring conditions and tied nodes. Collective.
 
         Args:
-            x: vector of the unknown.
-            y: result, overwritten.
+            x: Vector of the unknown.
+            y: Result, overwritten.
         """
         y.set(0.0)
         for factors in self._all:
             factors.add(x, y)
 
     def lift(self, b: PETSc.Vec) -> None:
-        """Subtract B D^-1 C s from the free entries of b; s are its fixed entries (collective).
+        """Subtract B D^-1 C s from the free entries of b; s are its fixed entries. Collective.
 
         Args:
-            b: residual, whose constrained entries s are the steps of constrained dofs.
+            b: Residual, whose constrained entries s are the steps of constrained dofs.
         """
         if not self._all:
             return
@@ -145,10 +145,10 @@ class ProjectedTangent:
         b.axpy(-1.0, self._work)
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return A + B D^-1 C as a matrix, kept until the next ``assemble`` (collective).
+        """Return A + B D^-1 C as a matrix, kept until the next ``assemble``. Collective.
 
         Args:
-            A: the rest of the tangent.
+            A: The rest of the tangent.
         """
         if self._whole is None:
             self._whole = self._added(A, None)
@@ -163,7 +163,7 @@ class ProjectedTangent:
         whole sum 2.5 times as many. Collective.
 
         Args:
-            A: the rest of the tangent.
+            A: The rest of the tangent.
         """
         if self._scalars is None:
             self._scalars = _selection(self._U, A)
@@ -186,11 +186,11 @@ class ProjectedTangent:
         return result
 
     def operator(self, A: PETSc.Mat, preconditions: bool) -> PETSc.Mat:
-        """Return A + B D^-1 C as a matrix-free operator that can be scaled (collective).
+        """Return A + B D^-1 C as a matrix-free operator that can be scaled. Collective.
 
         Args:
-            A: the rest of the tangent.
-            preconditions: whether A is also the matrix of the preconditioner. Then PETSc scales A
+            A: The rest of the tangent.
+            preconditions: Whether A is also the matrix of the preconditioner. Then PETSc scales A
                 by itself.
         """
         return PETSc.Mat().createPython(
@@ -242,7 +242,7 @@ class _Factors:
 
 
 def _selection(U: fem.Function, like: PETSc.Mat) -> PETSc.Mat:
-    """Return the matrix that keeps the dofs of scalar parts of U (collective)."""
+    """Return the matrix that keeps the dofs of scalar parts of U. Collective."""
     V = U.function_space
     spaces = [V.sub(i) for i in range(V.num_sub_spaces)] or [V]
     scalars = [part for part, s in zip(parts_of(V), spaces, strict=True) if s.num_sub_spaces == 0]

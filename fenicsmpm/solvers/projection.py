@@ -46,13 +46,13 @@ class EffectiveProjection:
     projection still conserves momenta and the energy that the points gain.
 
     Args:
-        point_sets: bodies with the field "mass" [kg].
-        space: space of the grid functions, blocked Lagrange.
-        lumping: share epsilon of the lumped mass [-].
-        tying: tied nodes of the space. None for none.
+        point_sets: Bodies with the field "mass" [kg].
+        space: Space of the grid functions, blocked Lagrange.
+        lumping: Share epsilon of the lumped mass [-].
+        tying: Tied nodes of the space. None for none.
 
     Raises:
-        ValueError: if nodes are tied in another space.
+        ValueError: If nodes are tied in another space.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class EffectiveProjection:
         lumping: float,
         tying: Tying | None = None,
     ) -> None:
-        """Compile the mass form (collective)."""
+        """Compile the mass form. Collective."""
         if tying is not None and tying.space is not space:
             raise ValueError(
                 f"nodes must be tied in the space of the grid functions, {space}, not in "
@@ -80,7 +80,7 @@ class EffectiveProjection:
         self._solver = LinearSolver(space.mesh.comm, _OPTIONS)
 
     def mass(self) -> PETSc.Mat:
-        """Return the effective mass of the current points [kg] as an operator (collective).
+        """Return the effective mass of the current points [kg] as an operator. Collective.
 
         Rows of nodes without points are those of the identity.
         """
@@ -103,14 +103,14 @@ class EffectiveProjection:
         return np.asarray(self._blocks[self._unreached], dtype=np.int64)
 
     def project(self, functions: Mapping[str, fem.Function], fixed: npt.ArrayLike = ()) -> None:
-        """Set functions to the projections of point fields (collective).
+        """Set functions to the projections of point fields. Collective.
 
         Args:
-            functions: functions of the space, by field name.
-            fixed: local degrees of freedom with Dirichlet conditions, which are not tied.
+            functions: Functions of the space, by field name.
+            fixed: Local degrees of freedom with Dirichlet conditions, which are not tied.
 
         Raises:
-            LinearSolverError: if the projection does not exist. The functions are then unchanged.
+            LinearSolverError: If the projection does not exist. The functions are then unchanged.
         """
         A = operator = self.mass()
         b, x = A.createVecs()

@@ -16,7 +16,7 @@ class Stopwatch(dict[str, float]):
         """Measure the time of a block.
 
         Args:
-            stage: name of the stage to which the time is added.
+            stage: Name of the stage to which the time is added.
         """
         start = time.perf_counter()
         try:
@@ -28,8 +28,8 @@ class Stopwatch(dict[str, float]):
         """Add time to a stage.
 
         Args:
-            stage: name of the stage.
-            seconds: time [s].
+            stage: Name of the stage.
+            seconds: Time [s].
         """
         self[stage] = self.get(stage, 0.0) + seconds
 

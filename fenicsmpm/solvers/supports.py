@@ -21,16 +21,16 @@ _CLEAR = 1e-6  # relative size of what is not round-off in a motion
 def require_supports(
     A: PETSc.Mat, V: fem.FunctionSpace, x: Array, inactive: npt.NDArray[np.int32]
 ) -> str | None:
-    """Return an error message if the tangent times a rigid motion is zero (collective).
+    """Return an error message if the tangent times a rigid motion is zero. Collective.
 
     A direct solver may find round-off instead of a zero pivot, and iterations find some solution or
     none.
 
     Args:
-        A: tangent.
-        V: function space of the tangent. Its parts with a component for each direction are checked.
-        x: positions of the local degrees of freedom ``(n_dofs, d)`` [m].
-        inactive: local dofs without material.
+        A: Tangent.
+        V: Function space of the tangent. Its parts with a component for each direction are checked.
+        x: Positions of the local degrees of freedom ``(n_dofs, d)`` [m].
+        inactive: Local dofs without material.
 
     Returns:
         A sentence, or None if the body is held.

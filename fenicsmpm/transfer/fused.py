@@ -77,7 +77,7 @@ def transfers(
     Args:
         dim: Dimension, 2 or 3.
         kind: Kind of the grid functions, see ``basis.lines``.
-        update: numba function of the material, ``(F, L, parameters, state, sigma)``.
+        update: Numba function of the material, ``(F, L, parameters, state, sigma)``.
         update_eight: The same for eight points at once, or None. It returns False where it
             cannot, such as at points that need iterations.
         n_state: Number of state variables of the material.

@@ -17,12 +17,12 @@ class Convergence:
     """Table of errors for decreasing cell sizes, printed row by row with convergence orders.
 
     Args:
-        errors: titles of the errors, such as "displacement".
-        size: title of the cell sizes.
+        errors: Titles of the errors, such as "displacement".
+        size: Title of the cell sizes.
 
     Attributes:
-        sizes: cell sizes so far.
-        errors: errors of each row so far, in the order of the titles.
+        sizes: Cell sizes so far.
+        errors: Errors of each row so far, in the order of the titles.
     """
 
     def __init__(self, errors: Sequence[str], size: str = "h [m]") -> None:
@@ -39,11 +39,11 @@ class Convergence:
         """Add and print a row.
 
         Args:
-            size: cell size, in the unit of its title.
-            errors: errors by title.
+            size: Cell size, in the unit of its title.
+            errors: Errors by title.
 
         Raises:
-            ValueError: if the titles differ from those of the table.
+            ValueError: If the titles differ from those of the table.
         """
         if set(errors) != set(self._titles):
             raise ValueError(
@@ -64,7 +64,7 @@ class Convergence:
         """Return the slopes of regression lines of log(error) over log(size), by title [-].
 
         Args:
-            last: number of last rows to use. None for all rows.
+            last: Number of last rows to use. None for all rows.
         """
         h, e = np.log(self.sizes), np.log(self.errors)
         first = 0 if last is None else len(h) - last
@@ -75,8 +75,8 @@ class Convergence:
         """Plot errors over sizes together with a line of a given slope, on rank 0.
 
         Args:
-            path: path of the picture. Missing directories are created.
-            slope: slope of the dotted line [-].
+            path: Path of the picture. Missing directories are created.
+            slope: Slope of the dotted line [-].
         """
         if MPI.COMM_WORLD.rank != 0:
             return

@@ -28,19 +28,19 @@ class Manufactured:
     derivatives with respect to X and t.
 
     Args:
-        mesh: background mesh.
-        displacement: function from the material position X and the time t to the d components of u
+        mesh: Background mesh.
+        displacement: Function from the material position X and the time t to the d components of u
             [m], UFL.
-        stress: function from F and its rate, both ``(3, 3)``, to P ``(3, 3)`` [Pa]. F is a UFL
+        stress: Function from F and its rate, both ``(3, 3)``, to P ``(3, 3)`` [Pa]. F is a UFL
             variable, so ``lambda F, rate: ufl.diff(law.energy(F, ufl.det(F)), F)`` is valid.
-        density: density of the undeformed body [kg/m^d].
-        pressure: function from X and t to the mean stress p [Pa]. The term J p F^-T is then added
+        density: Density of the undeformed body [kg/m^d].
+        pressure: Function from X and t to the mean stress p [Pa]. The term J p F^-T is then added
             to P. None for no such term.
 
     Attributes:
-        time: time at which all quantities are evaluated [s], a ``fem.Constant``.
-        mesh: background mesh.
-        density: density of the undeformed body [kg/m^d].
+        time: Time at which all quantities are evaluated [s], a ``fem.Constant``.
+        mesh: Background mesh.
+        density: Density of the undeformed body [kg/m^d].
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Manufactured:
         """Return the exact fields at material points, or at positions on the mesh.
 
         Args:
-            points: material points with their initial positions in the field "X", which is added if
+            points: Material points with their initial positions in the field "X", which is added if
                 missing. None for fields in terms of ``ufl.SpatialCoordinate``, which suit places
                 that do not move.
         """
@@ -84,7 +84,7 @@ class Manufactured:
         Long expressions are then evaluated only once per step, and need no tangent.
 
         Args:
-            body: material points.
+            body: Material points.
         """
         if body not in self._forces:
             self._forces[body] = PointExpression(self.at(body).b, body)
@@ -95,7 +95,7 @@ class Manufactured:
         """Set the time, and update the forces.
 
         Args:
-            time: new time [s].
+            time: New time [s].
         """
         self.time.value = time
         for body, force in self._forces.items():
@@ -105,8 +105,8 @@ class Manufactured:
         """Set the time to the start of a step; pass this as ``data`` to explicit loops.
 
         Args:
-            start: time at the start of the step [s].
-            end: time at the end of the step [s].
+            start: Time at the start of the step [s].
+            end: Time at the end of the step [s].
         """
         self.set_time(start)
 
@@ -114,8 +114,8 @@ class Manufactured:
         """Set the time to the middle of a step; pass this as ``data`` with the mid-point rule.
 
         Args:
-            start: time at the start of the step [s].
-            end: time at the end of the step [s].
+            start: Time at the start of the step [s].
+            end: Time at the end of the step [s].
         """
         self.set_time((start + end) / 2)
 
@@ -123,19 +123,19 @@ class Manufactured:
         """Set the time to the end of a step; pass this as ``data`` to implicit loops.
 
         Args:
-            start: time at the start of the step [s].
-            end: time at the end of the step [s].
+            start: Time at the start of the step [s].
+            end: Time at the end of the step [s].
         """
         self.set_time(end)
 
     def set_initial_state(self, body: MaterialPoints) -> None:
-        """Give undeformed points their mass and the exact velocity at time zero (collective).
+        """Give undeformed points their mass and the exact velocity at time zero. Collective.
 
         Args:
-            body: material points with volumes as weights [m^d].
+            body: Material points with volumes as weights [m^d].
 
         Raises:
-            ValueError: if the displacement at time zero is not zero.
+            ValueError: If the displacement at time zero is not zero.
         """
         self.time.value = 0.0
         exact = self.at(body)
@@ -157,8 +157,8 @@ class Manufactured:
         """Return an exact field on the mesh as a function, for example as a boundary value.
 
         Args:
-            name: name of an attribute of ``Exact``, such as "u".
-            space: space of the function.
+            name: Name of an attribute of ``Exact``, such as "u".
+            space: Space of the function.
         """
         result = fem.Function(space, name=name)
         value = getattr(self.at(), name)
@@ -166,11 +166,11 @@ class Manufactured:
         return result
 
     def error(self, body: MaterialPoints, name: str) -> float:
-        """Return the relative L2 error of a field of the points, with initial volumes (collective).
+        """Return the relative L2 error of a field of the points, with initial volumes. Collective.
 
         Args:
-            body: material points at the current ``time``.
-            name: name of a field that is also an attribute of ``Exact``, such as "u", "v", "p" or
+            body: Material points at the current ``time``.
+            name: Name of a field that is also an attribute of ``Exact``, such as "u", "v", "p" or
                 "F".
 
         Returns:
@@ -187,15 +187,15 @@ class Exact:
     """Exact fields, in UFL over points or over the mesh; see ``Manufactured``.
 
     Attributes:
-        u: displacement ``(d,)`` [m].
-        v: velocity ``(d,)`` [m/s].
-        grad_v: spatial gradient of the velocity ``(d, d)`` [1/s].
-        a: acceleration ``(d,)`` [m/s^2].
-        F: deformation gradient ``(3, 3)`` [-].
-        J: determinant of F [-].
-        p: given mean stress [Pa], or None.
-        P: first Piola-Kirchhoff stress ``(3, 3)`` [Pa].
-        b: force per mass ``(d,)`` [m/s^2].
+        u: Displacement ``(d,)`` [m].
+        v: Velocity ``(d,)`` [m/s].
+        grad_v: Spatial gradient of the velocity ``(d, d)`` [1/s].
+        a: Acceleration ``(d,)`` [m/s^2].
+        F: Deformation gradient ``(3, 3)`` [-].
+        J: Determinant of F [-].
+        p: Given mean stress [Pa], or None.
+        P: First Piola-Kirchhoff stress ``(3, 3)`` [Pa].
+        b: Force per mass ``(d,)`` [m/s^2].
     """
 
     def __init__(

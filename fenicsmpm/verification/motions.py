@@ -22,8 +22,8 @@ def axis_aligned_waves(amplitude: float, frequency: float) -> Motion:
     Comput. Phys. 227, 2008).
 
     Args:
-        amplitude: amplitude A [m].
-        frequency: f [1/s], for example the wave speed divided by the length of the body.
+        amplitude: Amplitude A [m].
+        frequency: F [1/s], for example the wave speed divided by the length of the body.
 
     Returns:
         Function ``displacement(X, t)`` for ``Manufactured``.
@@ -47,8 +47,8 @@ def generalized_vortex(angle: float, period: float = 1.0) -> Motion:
     Kamojjala, R. Brannon, A. Sadeghirad and J. Guilkey, Eng. Comput. 31, 2015).
 
     Args:
-        angle: largest angle a [rad], at R = 1 m.
-        period: time T until the ring has returned to its initial state [s].
+        angle: Largest angle a [rad], at R = 1 m.
+        period: Time T until the ring has returned to its initial state [s].
 
     Returns:
         Function ``displacement(X, t)`` for ``Manufactured``.
@@ -67,10 +67,10 @@ def ring(mesh: Any, spacing: float, inner: float = 0.75, outer: float = 1.25) ->
     """Return points on circles about the origin, each with its part of the ring as its volume.
 
     Args:
-        mesh: plane background mesh around the ring.
-        spacing: approximate distance of the points [m].
-        inner: inner radius [m].
-        outer: outer radius [m].
+        mesh: Plane background mesh around the ring.
+        spacing: Approximate distance of the points [m].
+        inner: Inner radius [m].
+        outer: Outer radius [m].
     """
     count = max(1, round((outer - inner) / spacing))
     width = (outer - inner) / count
