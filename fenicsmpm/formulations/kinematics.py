@@ -49,10 +49,10 @@ class Kinematics:
         points: The material points.
         u: Displacement increment of the step ``(d,)`` [m].
         f: Incremental deformation gradient I + grad(u), ``(d, d)`` [-].
-        j: Det f, the ratio of the volumes V_{n+1} / V_n [-].
+        j: det f, the ratio of the volumes V_{n+1} / V_n [-].
         F: Deformation gradient f F_n, ``(3, 3)`` [-].
-        J: Det F [-].
-        J_n: Det F_n, the ratio of the volumes V_n / V_0 [-].
+        J: det F [-].
+        J_n: det F_n, the ratio of the volumes V_n / V_0 [-].
     """
 
     def __init__(self, u: Any, points: MaterialPoints) -> None:
