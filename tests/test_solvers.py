@@ -3,6 +3,7 @@
 
 import gc
 import logging
+import math
 import weakref
 
 from mpi4py import MPI
@@ -178,6 +179,46 @@ def test_a_body_without_supports(held, options):
         next(sim.run(1.0))
     assert caught.value.reason == "no support"
     assert np.all(z.U.x.array == 0.0) and sim.next_dt == 1.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("options", [None, ITERATIONS], ids=["direct", "Krylov"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_piece_without_supports(dim, options):
+    """One half of the points is held, the other one floats above it."""
+    make = mesh.create_unit_square if dim == 2 else mesh.create_unit_cube
+    domain = make(MPI.COMM_WORLD, *[4] * dim)
+    body = points.fill(domain, 2, inside=lambda x: (x[1] < 0.25) | (x[1] > 0.75))
+    formulations.set_initial_state(body, 1.0)
+    z = Unknown(domain, "u", "p")
+    z.fix("u", lambda x: np.isclose(x[1], 0))
+    scheme = formulations.QuasiStatic(z, dt=1.0)
+    force = scheme.force(body, (0.0, -1.0, 0.0)[:dim])
+    R = formulations.stabilized("asgs", z, body, NeoHookean(100.0, 0.5), force=force)
+    sim = ImplicitMPM(R, z, scheme, body, newton={"petsc_options": options})
+    around = r"the piece of material around \(0.5, 0.875(, 0.5)?\), which can move along x, move"
+    with pytest.raises(NewtonError, match=around) as caught:
+        next(sim.run(1.0))
+    assert caught.value.reason == "no support"
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("E", "rho", "side"), [(210e9, 7850.0, 0.01), (1e6, 1000.0, 5e-6)])
+def test_weak_inertia_holds_a_body(E, rho, side):
+    """Free fall in thousands of wave times a step, and of a cube that weighs 1e-12 N."""
+    domain = mesh.create_box(MPI.COMM_WORLD, [[0, 0, -4 * side], [2 * side] * 3], [2, 2, 6])
+    body = points.fill(domain, 2, inside=lambda x: np.all(np.abs(x - 1.5 * side) < side / 2, 0))
+    formulations.set_initial_state(body, rho)
+    z = Unknown(domain, "u")
+    scheme = formulations.Newmark(z, dt=0.01 * math.sqrt(side / 0.01))
+    P = formulations.Response(Hencky(E, 0.3), body, formulations.Kinematics(z.u, body).F).P
+    R = formulations.stress_power(P, z.test.u, body)
+    R -= ufl.inner(scheme.force(body, (0, 0, -9.81)), z.test.u) * body.dx
+    sim = ImplicitMPM(R, z, scheme, body)
+    for _ in sim.run(3 * sim.next_dt):
+        pass
+    assert body["v"][:, 2] == pytest.approx(-9.81 * sim.time, rel=1e-7)
+
 
 
 @pytest.mark.mpi
