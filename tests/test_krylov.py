@@ -153,14 +153,21 @@ def test_options_stand_alone_where_they_name_a_preconditioner(options, method):
         ({"ksp_type": "nonsense"}, ValueError, "refuses the options .* type nonsense"),
         (
             {"pc_type": "lu", "pc_factor_mat_solver_type": "spam"},
-            LinearSolverError,
-            "Could not locate solver type spam",
+            ValueError,
+            "refuses the options: .* solver type spam",
         ),
         (
-            {"ksp_type": "gmres", "pc_type": "none", "ksp_max_it": 0},
-            LinearSolverError,
-            "0 iterations did not suffice",
+            {"ksp_type": "gmres", "pc_type": "bjacobi", "sub_pc_type": "nonsense"},
+            ValueError,
+            "refuses the options: .* type nonsense",
         ),
+        ({"pc_type": "none", "ksp_max_it": 0}, ValueError, "ksp_max_it must be at least 1: 0"),
+        (
+            {"ksp_type": "gmres", "pc_type": "none", "ksp_max_it": 2},
+            LinearSolverError,
+            "2 iterations did not suffice",
+        ),
+        ("pc_type lu", TypeError, "must be a dictionary of options, not 'pc_type lu'"),
     ],
 )
 def test_options_that_cannot_be_used(options, error, message):
@@ -169,3 +176,40 @@ def test_options_that_cannot_be_used(options, error, message):
     b.set(1.0)
     with pytest.raises(error, match=message):
         LinearSolver(MPI.COMM_SELF, options).solve(A, b, x)
+
+
+def test_a_method_for_positive_definite_matrices():
+    A = matrix()
+    A[0, 0] = -2.0
+    A.assemble()
+    x, b = A.createVecs()
+    b.set(1.0)
+    with pytest.raises(LinearSolverError, match="needs a positive definite matrix"):
+        LinearSolver(MPI.COMM_SELF, {"ksp_type": "cg", "pc_type": "none"}).solve(A, b, x)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "options", [{"sub_pc_type": "nonsense"}, {"sub_pc_factor_mat_solver_type": "spam"}]
+)
+def test_a_loop_does_not_retry_what_petsc_refuses(options, caplog):
+    """PETSc itself would take its default in a second try."""
+    given = {"ksp_type": "gmres", "pc_type": "bjacobi", "sub_pc_type": "lu", **options}
+    sim = block(petsc_options=given)
+    with pytest.raises(ValueError, match="PETSc refuses the options"):
+        next(sim.run(1.0))
+    assert sim.number == 0 and "halved" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rtol": -1}, "rtol must lie in"),
+        ({"rtol": float("nan")}, "rtol must lie in"),
+        ({"atol": float("inf")}, "atol must be finite"),
+        ({"max_iterations": 0}, "max_iterations must be at least 1: 0"),
+    ],
+)
+def test_impossible_tolerances(options, message):
+    with pytest.raises(ValueError, match=message):
+        block(**options)

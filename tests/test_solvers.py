@@ -220,7 +220,6 @@ def test_weak_inertia_holds_a_body(E, rho, side):
     assert body["v"][:, 2] == pytest.approx(-9.81 * sim.time, rel=1e-7)
 
 
-
 @pytest.mark.mpi
 def test_linear_failure_becomes_a_newton_error():
     problem = Cubic(start=0.0)  # the tangent 3 u^2 is zero

@@ -7,6 +7,7 @@ import ctypes
 import itertools
 import logging
 import time
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from petsc4py import PETSc
@@ -47,6 +48,12 @@ _MANY = 15_000
 # Default tolerance, and the tightest one for single systems
 TIGHT = 1e-12
 _numbers = itertools.count()
+_NOT_POSITIVE = (
+    PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
+    PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
+)
+# Errors of PETSc: not supported, unknown type, missing factorization (petscerror.h)
+_REFUSED = (56, 86, 92)
 
 
 class Products(Protocol):
@@ -112,8 +119,9 @@ class LinearSolver:
         seconds: Time spent so far [s].
 
     Raises:
+        TypeError: If the options are no dictionary.
         ValueError: If PETSc rejects the options, for example for a preconditioner that its build
-            lacks.
+            lacks. Some are rejected with the first system only.
     """
 
     def __init__(
@@ -127,6 +135,10 @@ class LinearSolver:
         """Create the solver and set its options. Collective."""
         collect_garbage(comm)  # frees earlier solvers, or MPI would run out of communicators
         given = petsc_options or {}
+        if not isinstance(given, Mapping):
+            raise TypeError(f"petsc_options must be a dictionary of options, not {given!r}")
+        if int(given.get("ksp_max_it", 1)) < 1:
+            raise ValueError(f"ksp_max_it must be at least 1: {given['ksp_max_it']}")
         options = _direct(comm) | given if given.get("pc_type", "lu") == "lu" else given
         self._comm, self._given = comm, list(given)
         self.ksp, self._options = _create(comm, options, prefix)
@@ -248,6 +260,12 @@ class LinearSolver:
                     "suffice; allow more (ksp_max_it), use another preconditioner, or omit "
                     "petsc_options to let the package choose"
                 )
+            if reason in _NOT_POSITIVE:
+                raise LinearSolverError(
+                    f"the linear solver failed ({described}): this method needs a positive "
+                    "definite matrix, but a pressure or a loss of stability makes it indefinite; "
+                    "take GMRES with an incomplete LU factorization, or omit petsc_options"
+                )
             raise LinearSolverError(
                 f"the linear solver failed ({described}): the matrix may be singular; check the "
                 "Dirichlet conditions, and that equal-order pressure is stabilized"
@@ -304,6 +322,8 @@ class LinearSolver:
         try:
             self.ksp.solve(b, x)
         except PETSc.Error as error:
+            if error.ierr in _REFUSED:  # shorter steps would not help
+                raise ValueError(f"PETSc refuses the options: {_last_line(error)}") from error
             raise LinearSolverError(f"PETSc: {_last_line(error)}") from error
         return self.ksp.getConvergedReason()
 

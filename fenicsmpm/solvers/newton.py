@@ -137,7 +137,8 @@ class NewtonSolver:
         bcs: Dirichlet conditions, which may be replaced between solutions.
 
     Raises:
-        ValueError: If keep_tangent lies outside [0, 1), or nodes are tied in another space.
+        ValueError: If a tolerance or a number of iterations is impossible, or nodes are tied in
+            another space.
     """
 
     def __init__(
@@ -158,6 +159,13 @@ class NewtonSolver:
         """Compile the forms. Collective."""
         if not 0 <= keep_tangent < 1:
             raise ValueError(f"keep_tangent must lie in [0, 1): {keep_tangent}")
+        if not (0 <= rtol < 1 and 0 <= atol < math.inf):
+            raise ValueError(
+                "rtol must lie in [0, 1), and atol must be finite and not negative: "
+                f"rtol = {rtol}, atol = {atol}"
+            )
+        if max_iterations < 1:
+            raise ValueError(f"max_iterations must be at least 1: {max_iterations}")
         if not isinstance(U, fem.Function):
             raise TypeError(
                 f"the unknown of Newton's method must be a dolfinx function, such as z.U, not {U}"
