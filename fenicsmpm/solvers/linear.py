@@ -45,6 +45,8 @@ KRYLOV = {
 # Number of unknowns with material above which factorizations in 3D cost more than iterations. In
 # 2D this happens only with millions of unknowns.
 _MANY = 15_000
+# Number of iterations that take as long as ILU(0) of a matrix with 45 entries per row
+_ILU = 10.0
 # Default tolerance, and the tightest one for single systems
 TIGHT = 1e-12
 _numbers = itertools.count()
@@ -338,8 +340,8 @@ class LinearSolver:
 class _Gmres:
     """GMRES with incomplete factors of a matrix, or with a factorization by MUMPS.
 
-    Factors are reused as long as the values of the matrix stay the same. Factors of MUMPS are also
-    reused for new values, as long as the additional iterations cost less than a new factorization.
+    Factors are reused for new values of the matrix, as long as the additional iterations cost less
+    than new factors.
     """
 
     def __init__(self, comm: Any, is_large: bool) -> None:
@@ -352,7 +354,7 @@ class _Gmres:
             # An overlap of one layer reduces the number of iterations to two thirds.
             options["pc_type"] = "asm"
         self._ksp, _ = _create(comm, options, None)
-        self._keeps = not is_large
+        self._is_incomplete = is_large
         self._matrix: PETSc.Mat | None = None
         self._factorized: PETSc.Mat | None = None
         self._state, self._are_of_these_values = -1, False
@@ -378,10 +380,10 @@ class _Gmres:
         self._matrix = A
         more = 4 * (self._last - self._fresh)  # for a typical reduction by 1e-4
         is_same = self._are_of_these_values and not is_new and A.stateGet() == self._state
-        reuses = is_same or (self._keeps and not is_new and more <= self._worth)
+        reuses = is_same or (not is_new and more <= self._worth)
         ksp.setTolerances(rtol=rtol)
         while True:
-            if not self._keeps:
+            if self._is_incomplete:
                 self._factorized = A
             elif not reuses:
                 assert products is not None  # systems without them have other factors
@@ -401,7 +403,9 @@ class _Gmres:
         self._last = iterations / -np.log10(rtol)
         if not reuses:
             self._fresh = self._last
-            if self._keeps and reason > 0:
+            if self._is_incomplete:
+                self._worth = _ILU
+            elif reason > 0:
                 self._worth = _iterations_for_factors(ksp.getPC().getFactorMatrix())
         return reason, iterations
 
