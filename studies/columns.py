@@ -136,14 +136,26 @@ def run(name, until, file, restart=False, saves=100, **case):
 
 
 def smoothed_turns(t, values, apart):
-    """Return turning points of quartics fitted to the curve, as flat peaks have ripples."""
+    """Yield time, value and curvature of quartics fitted to the turns; flat peaks have ripples."""
     for time, _ in turning_points(t, values, apart):
         near = np.abs(t - time) < 0.4 * apart
         curve = np.polynomial.Polynomial.fit(t[near], values[near], 4)
         roots = curve.deriv().roots()
         real = roots[np.abs(roots.imag) < 1e-9].real
         at = real[np.argmin(np.abs(real - time))]
-        yield at, curve(at)
+        yield at, curve(at), curve.deriv(2)(at)
+
+
+def paired_turns(t, values, known, apart):
+    """Yield turns of a curve with the nearest ones of the same kind that are known.
+
+    Each pair is time and value, known time and value. A curve may lack a turn or have one more.
+    """
+    expected = list(smoothed_turns(*known, apart))
+    for time, value, bend in smoothed_turns(t, values, apart):
+        alike = [turn for turn in expected if turn[2] * bend > 0 and abs(turn[0] - time) < apart]
+        if alike:
+            yield time, value, *min(alike, key=lambda turn: abs(turn[0] - time))[:2]
 
 
 def main(
@@ -179,8 +191,7 @@ def main(
         deviation = np.abs(np.interp(t, *known) - u_x).max() / np.abs(known[1]).max()
         deviation = None if "speed" in options else deviation  # finite elements start more slowly
         table.row(case, u_x[first], t[first], t[-1], deviation, left[-1] / left[0], halved)
-        both = zip(smoothed_turns(t, u_x, apart), smoothed_turns(*known, apart), strict=False)
-        for (time, value), (t_ref, expected) in both:
+        for time, value, t_ref, expected in paired_turns(t, u_x, known, apart):
             rows.append((case, value, value / expected - 1, time / t_ref - 1))
         title = {f"case {case}, t = {t[-1]:.3f} s": body}
         io.picture(f"output/{file}.png", title, "p", "mean stress p [Pa]", cut=1)
