@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Cost of output: a series that all ranks write, compared with files that rank 0 gathers.
+"""Cost of output: series and checkpoints that all ranks write, and files that rank 0 gathers.
 
-Points in 3D with the fields u and v (vectors) and sigma (a tensor) are written at several times.
+Points in 3D with two vectors and a tensor are written at several times. A checkpoint also has the
+state of an explicit simulation.
 Memory is the peak of rank 0 during this, above its memory before. At the end the file is in the
 page cache of the system, not yet on the disk.
 
     ./run mpirun -n 2 python benchmarks/output.py
-    ./run mpirun -n 2 python benchmarks/output.py --gathered
+    ./run mpirun -n 2 python benchmarks/output.py --way gathered
+    ./run mpirun -n 2 python benchmarks/output.py --way checkpoint
 """
 
 import tempfile
@@ -20,7 +22,9 @@ import typer
 from dolfinx import mesh
 from machine import describe
 
-from fenicsmpm import io, points
+from fenicsmpm import ExplicitMPM, io, points
+from fenicsmpm import formulations as fm
+from fenicsmpm.materials import NeoHookean
 
 
 def cloud(n):
@@ -28,9 +32,10 @@ def cloud(n):
     cells = round(np.ceil((n / 8) ** (1 / 3)))
     domain = mesh.create_unit_cube(MPI.COMM_WORLD, *[cells] * 3, mesh.CellType.hexahedron)
     body = points.lattice(domain, 0.5 / cells)
-    body.add_field("u", (3,), np.sin(body.x))
-    body.add_field("v", (3,), np.cos(body.x))
-    body.add_field("sigma", (3, 3), body["u"][:, :, None] * body["v"][:, None, :])
+    body.add_field("displacement", (3,), np.sin(body.x))
+    body.add_field("velocity", (3,), np.cos(body.x))
+    a, b = body["displacement"], body["velocity"]
+    body.add_field("stress", (3, 3), a[:, :, None] * b[:, None, :])
     return body
 
 
@@ -40,17 +45,27 @@ def memory(name):
     return int(next(line for line in lines if line.startswith(name)).split()[1]) / 1024
 
 
-def main(n: int = 1_000_000, times: int = 5, gathered: bool = False):
-    """Print seconds and MB per write."""
+def simulation(body):
+    """Return explicit steps of a body."""
+    fm.set_initial_state(body, 1000.0)  # kg/m^3
+    z = fm.Unknown(body.mesh, "v")
+    return ExplicitMPM(fm.internal_force(z.test.v, body, NeoHookean(1e6, 0.3)), z, body)
+
+
+def main(n: int = 1_000_000, times: int = 5, way: str = "series"):
+    """Print seconds and MB per write of series, gathered, or checkpoint."""
     comm, body = MPI.COMM_WORLD, cloud(n)
     io.gather_points(body.select([]))  # imports pyvista
     with tempfile.TemporaryDirectory(dir=".") as name:
         directory = comm.bcast(Path(name).absolute())
         series = io.Series(directory / "body.vtkhdf", body)
+        sim = simulation(body) if way == "checkpoint" else None
 
         def write(k):
-            if gathered:
+            if way == "gathered":
                 io.write(directory / f"{k}.vtp", io.gather_points(body), {"TimeValue": float(k)})
+            elif way == "checkpoint":
+                io.checkpoint.save(directory / f"{k}.h5", sim)
             else:
                 series.write(float(k))
 
@@ -68,12 +83,11 @@ def main(n: int = 1_000_000, times: int = 5, gathered: bool = False):
     if comm.rank == 0:
         print(describe())
     table = io.Table({
-        "way".ljust(9): "s", "ranks": "d", "points": "d", "first time [s]": ".2f",
+        "way".ljust(10): "s", "ranks": "d", "points": "d", "first time [s]": ".2f",
         "later ones [s]": ".2f", "file [MB a time]": ".0f", "rank 0 [MB]": ".0f",
     })  # fmt: skip
-    way = ("gathered" if gathered else "series").ljust(9)
     later = float(np.median(seconds[1:]))
-    table.row(way, comm.size, body.size_global, seconds[0], later, size, most)
+    table.row(way.ljust(10), comm.size, body.size_global, seconds[0], later, size, most)
 
 
 if __name__ == "__main__":
