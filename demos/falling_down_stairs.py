@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 
-# # A ring from an STL file falls down stairs
+# # Rubber ring on stairs
 #
-# Bodies come from drawing programs, and they fall on things. A rubber ring is read from a file of
-# triangles, is dropped onto stairs with a little push, and tumbles from step to step. The stairs
-# are three rigid boxes with friction, at any height between the nodes of the mesh.
+# Bodies often come from drawing programs. Here a rubber ring is read from an STL file. It is
+# dropped onto stairs with a little push, and tumbles from step to step. The stairs are three rigid
+# boxes with friction, at any height between the nodes of the mesh.
 #
 # ## Problem
 #
@@ -14,10 +14,10 @@
 # \mathbf p(t) = \mathbf p(0) + m\,\mathbf g\,t + \sum_k \int_0^t \mathbf f_k\,\mathrm d\tau,
 # $$
 #
-# where $\mathbf f_k$ is the force that stair $k$ records. Contact gives no energy either: the sum
-# of kinetic energy and that of the height only falls, but for what is elastic. And the volume of
-# the ring is $2\pi^2 R\,r^2$ with the radii $R$ and $r$ of ring and tube, less a little that the
-# triangles cut off.
+# where $\mathbf f_k$ is the force that stair $k$ records. Contact gives no energy either. So the
+# sum of kinetic and potential energy can only fall, except for elastic energy that comes back. The
+# volume of the ring is $2\pi^2 R\,r^2$ with the radii $R$ and $r$ of ring and tube, less a little
+# that the triangles cut off.
 
 # +
 from pathlib import Path

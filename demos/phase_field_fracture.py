@@ -2,10 +2,10 @@
 
 # # Fracture by a phase field
 #
-# A crack needs no special mesh here, no criterion of growth and no code in the package. It is a
-# second field of the unknown, which is 0 where the body is sound and 1 in the crack, and a few
-# lines of UFL. The demo checks it against two exact results: the softening of a short bar, and the
-# load at which a long crack runs.
+# A crack needs no special mesh here, no criterion of growth and no code in the package. A second
+# field of the unknown is 0 where the body is sound and 1 in the crack. It takes a few lines of UFL.
+# The demo checks it against two exact results: the softening of a short bar, and the load at which
+# a long crack runs.
 #
 # ## Problem
 #
@@ -22,24 +22,25 @@
 # \end{aligned}
 # $$
 #
-# Cracks do not heal. $\mathcal H \leftarrow \max(\mathcal H, \psi^+)$ is a field of the points that
-# says itself how it is renewed (C. Miehe, M. Hofacker and F. Welschinger, CMAME 199, 2010). It
-# starts from the threshold $\mathcal H_c = 3 G_c/(16 l)$, below which $d$ is zero.
+# Cracks do not heal. So $\mathcal H$ is the largest $\psi^+$ so far, a field of the points that
+# each step renews as $\mathcal H \leftarrow \max(\mathcal H, \psi^+)$ (C. Miehe, M. Hofacker and F.
+# Welschinger, CMAME 199, 2010). It starts from the threshold $\mathcal H_c = 3 G_c/(16 l)$, below
+# which $d$ is zero.
 #
-# In $\mathbf P$ stands the $d$ that points had before the step, which makes each step robust. While
-# $d$ still changes, the load is held for further steps until both agree. So a crack runs under
-# constant load.
+# The stress $\mathbf P$ takes $d$ from before the step, which makes each step robust. If $d$
+# changes in a step, further steps follow under the same load, until $d$ stands still. So a crack
+# runs under constant load.
 #
 # ## References
 #
 # 1. A bar stretched without lateral motion stays homogeneous if it is short:
 #    $d = 1 - \mathcal H_c/\psi$.
-# 2. A strip between rigid clamps is cut along half of its length. All far ahead of the crack is
-#    stretched alike, all far behind is free of stress, and if the crack gets longer, the one
-#    becomes the other. So it runs where $\psi$ times the height of the strip is $G_c$, however long
-#    the crack is (R. Rivlin and A. Thomas, J. Polym. Sci. 10, 1953). As $d = 1$ in a whole row of
-#    cells of size $h$, with the energy $3 G_c/(8 l)$ per area, the crack takes
-#    $G_c\,(1 + 3h/(8l))$.
+# 2. A strip between rigid clamps is cut along half of its length. Far ahead of the crack, the strip
+#    is stretched uniformly. Far behind the crack, it is free of stress. As the crack grows,
+#    stretched parts become free of stress. So the crack runs when $\psi$ times the height of the
+#    strip is $G_c$, however long the crack is (R. Rivlin and A. Thomas, J. Polym. Sci. 10, 1953).
+#    On a mesh, $d = 1$ in a whole row of cells of size $h$, with the energy $3 G_c/(8 l)$ per
+#    volume. So the crack takes $G_c\,(1 + 3h/(8l))$.
 
 # +
 from mpi4py import MPI

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 
-# # Two discs meet and part
+# # Contact of two discs
 #
-# Bodies that share the velocities of the grid stick to each other as soon as they see the same
-# nodes, one or two cells before they touch, and they never come apart cleanly. A `Contact` gives
-# each body its own nodal velocities. Two elastic discs then meet when they really touch, and part
+# Two bodies may share the velocities of the grid. They then stick to each other as soon as they see
+# the same nodes, one or two cells before they touch, and never separate cleanly. A `Contact` gives
+# each body its own nodal velocities. Two elastic discs now meet when they really touch, and part
 # with nearly all of their energy.
 #
 # ## Problem
@@ -17,8 +17,8 @@
 # |\mathbf x_2 - \mathbf x_1| = 2R,
 # $$
 #
-# and not before. Their total momentum must stay zero. After the contact, kinetic and strain energy
-# together should be what they were, but for what waves in the discs lose.
+# and not before. Their total momentum must stay zero. After the contact, the sum of kinetic and
+# strain energy should be what it was, except for what waves in the discs lose.
 
 # +
 from mpi4py import MPI

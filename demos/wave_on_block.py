@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 
-# # A wave hits an elastic block
+# # Wave against an elastic block
 #
 # Water runs against a block of rubber that is fixed to the floor. The block bends, springs back and
 # swings, and the water shoots up and over it. Fluid-structure interaction usually means two codes
@@ -17,8 +17,8 @@
 # R_\mathrm{water}(\mathbf u, p; \mathbf w, q) + R_\mathrm{block}(\mathbf u, p; \mathbf w, q) = 0 .
 # $$
 #
-# So displacements are shared at the nodes that both see, without slip where they touch, and the
-# pressure is continuous.
+# The two bodies share the displacements of nodes that both see. They do not slip where they touch,
+# and the pressure is continuous.
 #
 # The problem is our own. Until it meets the block, the front of the water must run as J. C. Martin
 # and W. J. Moyce measured (Phil. Trans. R. Soc. A 244, 1952, table 2). Only weight does work, so
