@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import typer
-from explicit import GRAVITY, Names, advance, cases, seen, velocity
+from explicit import GRAVITY, Names, advance, cases, extent, seen, velocity
 
 from fenicsmpm import ExplicitMPM, basis, io, points
 from fenicsmpm import formulations as fm
@@ -42,6 +42,28 @@ def bar(h: float = 0.04, bases: Names = ["quadratic"], averages: Names = FORCED)
         start = kinetic_energy(body)
         list(advance(sim, 4.0, 0.4, name))
         table.row(name.ljust(25), (kinetic_energy(body) + strain_energy(body, law)) / start)
+
+
+@app.command()
+def discs(nu: list[float] = [0.3, 0.48, 0.49], h: float = 0.05,
+          bases: Names = ["gimp", "quadratic"],
+          averages: Names = ["standard", "0.03", "0.3,100"]):  # fmt: skip
+    """Kinetic energy that two discs have left after they met head-on, and their least J."""
+    columns = {"averages, functions".ljust(25): "s", "nu": "g", "energy left": ".1%"}
+    table = io.Table(columns | {"least J": ".4f"})
+    for (name, (functions, kind)), ratio in product(cases(bases, averages).items(), nu):
+        z = velocity((-0.2, -0.2), (1.2, 1.2), h, walls=False)
+        bodies, R = [], None
+        for place, speed in ((0.2, 0.1), (0.8, -0.1)):
+            inside = lambda x, c=place: np.hypot(*(x[:2] - c)) < 0.2  # noqa: E731
+            disc = seen(points.lattice(z.mesh, h / 4, inside=inside), functions, h / 4)
+            fm.set_initial_state(disc, 1e3, (speed, speed))
+            force = fm.internal_force(z.test.v, disc, Hencky(E=1e3, nu=ratio), fbar=kind)
+            R, bodies = force if R is None else R + force, [*bodies, disc]
+        start, least = sum(map(kinetic_energy, bodies)), 1.0
+        for _ in advance(ExplicitMPM(R, z, bodies), 3.2, 0.05, f"{name}, {ratio}"):
+            least = min(least, *(extent(disc["J"])[0] for disc in bodies))
+        table.row(name.ljust(25), ratio, sum(map(kinetic_energy, bodies)) / start, least)
 
 
 @app.command()

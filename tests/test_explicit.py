@@ -376,7 +376,7 @@ def test_what_fails_leaves_the_points_as_they_were(said):
     sim = simulate(V, {body: RUBBER}, dt=1.0)
     assert any("above the limit of stability, about" in line for line in said)
     before = body.snapshot()
-    with pytest.raises(UnstableError, match=r"step \d+, t = .* point \d+ .* J = "):
+    with pytest.raises(UnstableError, match=r"^step \d+, t = .* point \d+ .* J = .* smaller ones$"):
         list(sim.run(200.0, 50.0))
     for name, array in before.items():
         assert np.array_equal(body[name], array), name
@@ -400,7 +400,7 @@ def test_what_is_not_finite_is_seen_where_all_nodes_are_held():
     everything = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
     bc = fem.dirichletbc(np.zeros(2), everything, V)
     sim = simulate(V, {body: law}, dt=1e-3, bcs=[bc])
-    with pytest.raises(UnstableError, match="is not finite"):
+    with pytest.raises(UnstableError, match=r"^step 1, .* is not finite .* shorter: lower cfl$"):
         for _ in range(3):
             sim.step()
     assert np.all(body["v"] == 0)

@@ -38,25 +38,26 @@ def test_which_laws_have_averages():
     flowing = formulations.FBar(r=0.3, s=100.0)
     assert formulations.default_fbar(NewtonianFluid(kappa=1e6, mu=1.0)) == flowing
     assert formulations.default_fbar(VonMises(E=1.0, nu=0.3, sigma_y=1.0)) == flowing
-    assert formulations.default_fbar(Hencky(E=1.0, nu=0.4)) is None
-    assert formulations.default_fbar(Hencky(E=1.0, nu=0.49)) == formulations.FBar()
+    for nu in (0.0, 0.4, 0.49):
+        assert formulations.default_fbar(Hencky(E=1.0, nu=nu)) is None
+    assert formulations.default_fbar(Hencky(E=1.0, nu=0.495)) == formulations.FBar()
     rubber = NeoHookean(E=1.0, nu=0.499).pointwise()
     assert formulations.default_fbar(rubber) == formulations.FBar()
 
 
 def test_a_law_of_one_s_own_is_asked_for_its_moduli():
-    for kappa, averages in ((2.0, None), (60.0, formulations.FBar())):
+    for kappa, averages in ((2.0, None), (90.0, None), (110.0, formulations.FBar())):
         law = Law(hookean, [1.0, kappa], kappa + 4 / 3, needs_rate=False)
         assert bulk_to_shear(law) == pytest.approx(kappa, rel=1e-6)
         assert formulations.default_fbar(law) == averages
     assert bulk_to_shear(NewtonianFluid(kappa=1e6)) == math.inf
 
 
-@pytest.mark.parametrize("functions", ["quadratic", "gimp"])
+@pytest.mark.parametrize("functions", ["linear", "quadratic", "cubic", "gimp"])
 def test_pressure_at_rest(functions):
-    """s_xx / s_yy = nu / (1 - nu) in all rows of a column under its weight."""
+    """s_xx / s_yy = nu / (1 - nu) in all rows of a column under its weight, with the default."""
     h = 0.5
-    for nu in (0.0, 0.3):
+    for nu in (0.0, 0.3, 0.49):
         domain = mesh.create_rectangle(
             MPI.COMM_SELF, [(0, 0), (4 * h, 6)], [4, round(6 / h)], mesh.CellType.quadrilateral
         )
@@ -149,9 +150,8 @@ def test_waves_in_a_bar():
     assert left > 0.995 * start
 
 
-def test_discs_bounce():
-    """Two elastic discs meet head-on and part: most of their kinetic energy is left."""
-    law = Hencky(E=1e3, nu=0.3)
+def bounced(functions, law, fbar):
+    """Share of kinetic energy that two discs have left after they met head-on, and least J."""
     domain = mesh.create_rectangle(
         MPI.COMM_SELF, [(-0.2, -0.2), (1.2, 1.2)], [28, 28], mesh.CellType.quadrilateral
     )
@@ -163,8 +163,23 @@ def test_discs_bounce():
         )
         formulations.set_initial_state(disc, 1e3, (speed, speed))
         bodies.append(disc)
-    sim = simulate(V, dict.fromkeys(bodies, law), functions="gimp")
-    before = sum(map(diagnostics.kinetic_energy, bodies))
-    for _ in sim.run(3.2, 3.2):
-        pass
-    assert sum(map(diagnostics.kinetic_energy, bodies)) > 0.9 * before
+    sim = simulate(V, dict.fromkeys(bodies, law), functions=functions, fbar=fbar)
+    before, least = sum(map(diagnostics.kinetic_energy, bodies)), 1.0
+    for _ in sim.run(3.2, 0.05):
+        least = min(least, *(disc["J"].min() for disc in bodies))
+    return sum(map(diagnostics.kinetic_energy, bodies)) / before, least
+
+
+@pytest.mark.parametrize(("functions", "share"), [("gimp", 0.9), ("quadratic", 0.8)])
+@pytest.mark.parametrize("nu", [0.3, 0.48, 0.49])
+def test_discs_bounce(functions, share, nu):
+    """Most of their energy is left with the default, and they are as compressed as without.
+
+    Splines lose more because they couple the discs over wider gaps, whatever is averaged.
+    """
+    law = Hencky(E=1e3, nu=nu)
+    left, J = bounced(functions, law, "default")
+    assert left > share
+    energy, without = bounced(functions, law, None)
+    assert left > 0.95 * energy
+    assert 1 - J == pytest.approx(1 - without, rel=0.1)

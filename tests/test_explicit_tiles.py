@@ -167,7 +167,7 @@ def test_sums_in_tiles_are_plain_sums(basis, dim):
     shares = [wall_shares(KINDS[basis], CELLS, half[k], in_a_cell) for k in range(dim)]
     expected = continued(expected, volumes, shares)
     heavy = volumes[at] > 1e-6 * volumes.max()
-    assert scalar.x.array[heavy] == pytest.approx(expected[at][heavy], rel=1e-5)
+    assert scalar.x.array[heavy] == pytest.approx(expected[at][heavy], rel=1e-12)
     engine.finish(again=False, keep=True, anew=False)
     engine.settle(sort=True)
     J_bar = np.zeros(len(x))
@@ -175,7 +175,7 @@ def test_sums_in_tiles_are_plain_sums(basis, dim):
         J_bar[p] += w * expected[node]
     order = np.argsort(ids)
     by_id = dict(zip(ids[order], J_bar[order], strict=True))
-    assert body["J_bar"] == pytest.approx([by_id[i] for i in body.id], rel=1e-5)
+    assert body["J_bar"] == pytest.approx([by_id[i] for i in body.id], rel=1e-12)
     assert len(everywhere(body, "id")) == len(x)
 
 

@@ -94,7 +94,7 @@ def check(found, expected, tolerance=1e-12):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("functions", BASES)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.ranks), 3])
 def test_a_step(dim, functions):
     """Mass, momentum and force of nodes, averages of J, what points get: all of them."""
     for averages in AVERAGES:
@@ -139,6 +139,7 @@ def test_stretches_out_of_the_plane(law, averages):
     check(*found, tolerance=1e-10)
 
 
+@pytest.mark.ranks
 @pytest.mark.mpi
 def test_many_steps_of_many_laws():
     """Fluids and plasticity; velocities that laws read."""

@@ -14,6 +14,7 @@ from fenicsmpm.diagnostics import angular_momentum, kinetic_energy, momentum, st
 from fenicsmpm.formulations import BDF2, Bossak, GeneralizedAlpha, Newmark, Unknown
 from fenicsmpm.materials import NeoHookean
 from fenicsmpm.points import PointsOutsideError
+from fenicsmpm.points.point_field import PointField
 from fenicsmpm.solvers import NewtonError
 from fenicsmpm.transfer import project
 
@@ -450,6 +451,33 @@ def test_a_field_of_ones_own():
     sim.step()
     C = np.einsum("nki,nki->n", body["F"], body["F"])
     assert body["stretch"] == pytest.approx(np.sqrt(C / 3), rel=1e-14)
+
+
+def test_fields_that_are_renewed_twice():
+    """By two calls, through two objects, or by updates; one simulation after another is fine."""
+    flight = Flight(spin=3.0)
+    body = flight.body
+    body.add_field("T", (), 1.0)
+    T, other = body.field("T"), PointField(body, "T")
+    R = flight.R + 1e-9 * T * flight.z.test.u[0] * body.dx
+
+    def loop(**options):
+        return ImplicitMPM(R, flight.z, flight.scheme, body, **options)
+
+    for second in (T, other):
+        T.renew(T + 1)
+        second.renew(T + 2)
+        with pytest.raises(ValueError, match="the field 'T' is renewed twice"):
+            loop()
+    T.renew(lambda k: 2 * k.j * T / k.j)
+    with pytest.raises(ValueError, match="the field 'T' is renewed twice"):
+        loop(updates={body: {"T": T + 3}})
+    loop(updates={body: {"T": T.renew(2 * T).renewals["T"]}}).step()
+    assert body["T"] == pytest.approx(2.0)
+    for _ in range(2):
+        T.renew(lambda k: 3 * T)
+    loop().step()
+    assert body["T"] == pytest.approx(6.0)
 
 
 def test_printing():

@@ -243,7 +243,7 @@ def test_explicit_column_by_forms():
 
 
 AVERAGED = {
-    "incompressible": Hencky(E=50e6, nu=0.49),
+    "incompressible": Hencky(E=50e6, nu=0.495),
     "plastic": MohrCoulomb(E=50e6, nu=0.3, cohesion=5e3, friction=30.0),
     "both": DruckerPrager(E=50e6, nu=0.49, cohesion=5e3, friction=30.0, dilatancy=10.0),
 }

@@ -28,6 +28,18 @@ def test_averages_remove_the_checkerboard(functions):
     assert averaged < 0.1 * standard
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("functions", "off"), [("gimp", 0.03), ("linear", 0.07)])
+def test_averages_prevent_locking(functions, off):
+    """In coarse cells, as far as the functions can: without them the panel moves much less."""
+    tips = []
+    for averages in ("default", None):
+        _, history, _ = explicit.membrane(functions, averages, 2.0, 20000, squares=True)
+        tips.append(history["tip [m]"][-1])
+    assert tips[0] == pytest.approx(explicit.TIP, rel=off)
+    assert tips[1] < 0.85 * explicit.TIP
+
+
 def test_dam_break_with_edges_and_with_cells_beyond_walls():
     """Hydrostatics; the volume; what algorithm 1 loses of J at once, and the default does not."""
     coarse = {"wall": 12.0, "until": 0.1, "h": 0.5, "per_side": 3, "dt": 1e-4}

@@ -107,9 +107,17 @@ def internal_force(
         for a law at points, and the derivative of the energy otherwise.
 
     Raises:
+        TypeError: If the material is neither a law nor an energy.
         ValueError: If the body lacks the fields of ``set_initial_state``, for the other reasons of
             ``CauchyStress``, and for ``NeoHookean`` with nu = 0.5, which has no stress at a point.
     """
+    if isinstance(material, type) or not (
+        isinstance(material, Law | NeoHookean) or callable(material)
+    ):
+        raise TypeError(
+            "a material is a law such as materials.Hencky(E, nu), or a function that returns the "
+            f"energy psi(F) in UFL, not {material!r}"
+        )
     if isinstance(material, NeoHookean):
         material = material.pointwise()
     if isinstance(material, Law):

@@ -47,9 +47,13 @@ class PointField(ufl.Coefficient):
         self.points = points
         self.name = name
         self.renewals: Mapping[str, Any] = {}
+        self._said: list[Any] = []
 
     def renew(self, value: Any) -> PointField:
         """Set the value that the field takes at the end of each step of a time loop.
+
+        A loop that is made later uses it. Calls for one field before that must agree, through
+        whatever object they are made, or the loop raises ValueError.
 
         Args:
             value: One of three: a UFL expression over the points, in which the field itself has
@@ -60,7 +64,16 @@ class PointField(ufl.Coefficient):
             The field itself.
         """
         self.renewals = {self.name: value}
+        self.points.field(self.name)._said.append(value)
         return self
+
+    def take_said(self) -> list[Any]:
+        """Return the values of all calls of ``renew`` since the last call of this, and forget them.
+
+        Calls through another object for the same field count if this one is ``points.field(name)``.
+        """
+        said, self._said = self._said, []
+        return said
 
     @property
     def values(self) -> npt.NDArray[np.float64]:

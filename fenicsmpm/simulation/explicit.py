@@ -26,6 +26,7 @@ from fenicsmpm.formulations.time_scheme import check_time_step
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Law
 from fenicsmpm.points import MaterialPoints
+from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.exits import Exits
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.rigid import RigidBody
@@ -35,8 +36,10 @@ from fenicsmpm.simulation.explicit_by_forms import ByForms
 from fenicsmpm.simulation.explicit_checks import (
     check_bodies,
     check_functions,
+    check_increments,
     check_rigid,
     check_space,
+    wrong_number,
 )
 from fenicsmpm.simulation.explicit_on_lattice import OnLattice
 from fenicsmpm.simulation.observer import Observers, Watcher
@@ -47,7 +50,7 @@ from fenicsmpm.simulation.rigid_state import memory_of, remember, slip_on
 from fenicsmpm.simulation.step import Step
 from fenicsmpm.simulation.torn_off import TornOff
 from fenicsmpm.simulation.unstable import UnstableError
-from fenicsmpm.solvers.checks import check_bcs, require_points
+from fenicsmpm.solvers.checks import check_bcs, require_points, warn_of_points_that_stay
 from fenicsmpm.solvers.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
@@ -113,9 +116,11 @@ class ExplicitMPM(Described):
         seconds: Computing time spent in each stage so far, in s.
 
     Raises:
-        TypeError: If R is no form.
+        TypeError: If R is no form, or data no function.
         ValueError: For a residual of another rank, with unknowns, or on another space or mesh;
-            points without their fields; options out of range; contacts of point sets that are no
+            a velocity in place of an increment of displacement in ``Kinematics``; points without
+            their fields, or with masses or velocities that are not finite; a field that
+            is renewed twice; options out of range; contacts of point sets that are no
             body, that bodies cannot have all at once, or of bodies that overlap by a cell or more;
             no dt for bodies without a law.
     """
@@ -147,6 +152,11 @@ class ExplicitMPM(Described):
                 f"cfl must be positive, flip in [0, 1] and damping in [0, 1), not {cfl}, {flip} "
                 f"and {damping}"
             )
+        if not (data is None or callable(data)):
+            raise TypeError(
+                "data must be a function of the times at the beginning and end of a step, not "
+                f"{data!r}"
+            )
         self.exits = Exits(on_exit)
         self.unknown, self.velocity = unknown, _velocity(unknown)
         V = unknown.space
@@ -157,6 +167,10 @@ class ExplicitMPM(Described):
         check_functions([*self.bodies, *self.carried])
         check_bcs(bcs, V)
         self.residual = Residual(R, self.velocity, self.bodies, self.carried)
+        warn_of_points_that_stay(
+            [integral.subdomain_data() for integral in R.integrals()],
+            [*self.bodies, *self.carried],
+        )
         self.laws: dict[MaterialPoints, Law] = {
             body: sigma.law for body, sigma in self.residual.stresses.items()
         }
@@ -194,13 +208,19 @@ class ExplicitMPM(Described):
     ) -> dict[MaterialPoints, dict[str, Any]]:
         """Return updates defined by fields of the residual, and the user's updates."""
         moving = [*self.bodies, *self.carried]
-        check_updates(updates, moving)
         found = renewals(R, dict.fromkeys(moving, self.duration * self.velocity))
-        return {
+        by_laws = {
+            body: {name: sigma for name in ("sigma", *sigma.law.state)}
+            for body, sigma in self.residual.stresses.items()
+        }
+        check_updates(updates, moving, {p: {**by_laws.get(p, {}), **found[p]} for p in moving})
+        together = {
             points: {**found[points], **updates.get(points, {})}
             for points in moving
             if found[points] or points in updates
         }
+        check_increments(R, together.values(), self.velocity)
+        return together
 
     @property
     def has_data(self) -> bool:
@@ -395,16 +415,27 @@ class ExplicitMPM(Described):
     # --- time step -----------------------------------------------------------------------------
 
     def stable_step(self) -> float:
-        """Return the time of a wave through a cell in s, about the stable step. Collective."""
-        fastest = 0.0
+        """Return the time of a wave through a cell in s, about the stable step. Collective.
+
+        Raises:
+            ValueError: If masses or velocities are not finite, or masses not positive.
+        """
+        fastest, error = 0.0, None
         for points in self.bodies:
             if len(points):
                 modulus = self.laws[points].wave_speed_modulus if points in self.laws else 0.0
+                error = error or wrong_number(points)
+                if error is not None:
+                    fastest = math.inf
+                    continue
                 density = float(np.min(points["mass"] / points["V_0"]))
                 speed = float(np.sqrt(np.max(np.sum(points["v"] ** 2, axis=1))))
                 fastest = max(fastest, speed + math.sqrt(modulus / density))
         require_points(self.bodies)
-        fastest = self.velocity.function_space.mesh.comm.allreduce(fastest, MPI.MAX)
+        comm = self.velocity.function_space.mesh.comm
+        fastest = comm.allreduce(fastest, MPI.MAX)
+        if fastest == math.inf:
+            raise_together(comm, error)
         return self._h / fastest if fastest > 0 else math.inf
 
     @property

@@ -3,11 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
+import ufl
 from dolfinx import fem
+from ufl.classes import Identity, Sum
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsmpm.basis import functions_of, is_linear
+from fenicsmpm.formulations.kinematics import embed
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.rigid import RigidBody
 from fenicsmpm.solvers.checks import require_points
@@ -81,3 +88,51 @@ def check_rigid(rigid: Sequence[RigidBody], dim: int) -> None:
             )
     if len({id(body) for body in rigid}) < len(rigid):
         raise ValueError("a rigid body is given twice: pass each one once")
+
+
+def check_increments(
+    R: ufl.Form, updates: Iterable[Mapping[str, Any]], velocity: fem.Function
+) -> None:
+    """Raise ValueError for a velocity that ``Kinematics`` takes for an increment of displacement.
+
+    It is found by the sum of the identity and the gradient of the velocity, which have different
+    units.
+
+    Args:
+        R: Residual.
+        updates: New values of fields.
+        velocity: Velocity of the nodes.
+    """
+    gradient = ufl.grad(velocity)
+    wrong = {gradient, embed(gradient)}
+    found = [integral.integrand() for integral in R.integrals()]
+    found += [value for fields in updates for value in fields.values() if isinstance(value, Expr)]
+    for node in (node for expression in found for node in unique_pre_traversal(expression)):
+        if isinstance(node, Sum):
+            a, b = node.ufl_operands
+            if (isinstance(a, Identity) and b in wrong) or (isinstance(b, Identity) and a in wrong):
+                raise ValueError(
+                    "I + grad v adds a rate to a number: Kinematics needs an increment of "
+                    'displacement, not a velocity. Forces see the present body.field("F"), and '
+                    "PointField.renew gives a function of new values the Kinematics of the step"
+                )
+
+
+def wrong_number(points: MaterialPoints) -> ValueError | None:
+    """Return an error for a point of this rank that cannot move, or None.
+
+    Args:
+        points: Material points with masses, volumes and velocities.
+    """
+    for name in ("mass", "V_0", "v"):
+        array = points[name]
+        good = np.isfinite(array)
+        if array.ndim == 1:
+            good &= array > 0
+        if not good.all():
+            i = int(np.argmin(good.reshape(len(array), -1).all(axis=1)))
+            kind = "positive and finite" if array.ndim == 1 else "finite"
+            return ValueError(
+                f"the field {name!r} must be {kind}, but is {array[i]} at point {points.id[i]}"
+            )
+    return None

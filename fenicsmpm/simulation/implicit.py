@@ -158,10 +158,11 @@ class ImplicitMPM(Described):
             for motion in self.motions
             for body in motion.bodies
         ]
-        warn_of_points_that_stay(self.newton.R, moving)
-        check_updates(updates or {}, moving)
+        domains = [integral.points for integral in self.newton.R.point_integrals]
+        warn_of_points_that_stay(domains, moving)
         moved = {p: m for m in self.motions for p in [*m.bodies, *m.carried]}
         renewed = renewals(R, {p: m.scheme.increment for p, m in moved.items()})
+        check_updates(updates or {}, moving, renewed)
         _check_times(renewed, self.scheme)
         self._updates = {
             points: FieldUpdates(

@@ -9,6 +9,7 @@ from typing import Any
 
 import ufl
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.renumbering import renumber_indices
 from ufl.core.expr import Expr
 
 from fenicsmpm.formulations.kinematics import Kinematics
@@ -35,7 +36,6 @@ def renewals(
         ValueError: For a field that is renewed twice, or one of points that do not move.
     """
     found: dict[MaterialPoints, dict[str, Any]] = {points: {} for points in increments}
-    said: dict[tuple[MaterialPoints, str], Any] = {}
     pending, seen = list(all_coefficients(form)), set()
     while pending:
         field = pending.pop()
@@ -51,29 +51,50 @@ def renewals(
                 "nor carried points of this simulation: pass them to it"
             )
         for name, value in field.renewals.items():
-            if said.setdefault((points, name), value) is not value:
+            kinematics = Kinematics(increments[points], points)
+            new = _of_step(value, kinematics)
+            # once a loop has them, another one may renew the field in another way
+            said = points.field(name).take_said() if name in points else []
+            others = [_of_step(other, kinematics) for other in said if other is not value]
+            if name in found[points]:
+                others.append(found[points][name])
+            if not all(_is_same(new, other) for other in others):
                 raise ValueError(
                     f"the field {name!r} is renewed twice, in different ways: use one stress or "
                     "one call of renew(..) for it"
                 )
-            if name in found[points]:
-                continue
-            if not isinstance(value, Expr) and inspect.signature(value).parameters:
-                value = value(Kinematics(increments[points], points))
-            found[points][name] = value
-            if isinstance(value, Expr):
-                pending += extract_coefficients(value)
+            if name not in found[points]:
+                found[points][name] = new
+                if isinstance(new, Expr):
+                    pending += extract_coefficients(new)
     return found
 
 
+def _of_step(value: Any, kinematics: Kinematics) -> Any:
+    """Return a new value in terms of a step: UFL, or a function that returns an array."""
+    if not isinstance(value, Expr) and inspect.signature(value).parameters:
+        return value(kinematics)
+    return value
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Return whether two new values are the same but for the numbers of free indices."""
+    if isinstance(one, Expr) and isinstance(other, Expr):
+        return bool(one == other or renumber_indices(one) == renumber_indices(other))
+    return bool(one == other)
+
+
 def check_updates(
-    updates: Mapping[MaterialPoints, Mapping[str, Any]], moving: Sequence[MaterialPoints]
+    updates: Mapping[MaterialPoints, Mapping[str, Any]],
+    moving: Sequence[MaterialPoints],
+    renewed: Mapping[MaterialPoints, Mapping[str, Any]],
 ) -> None:
     """Raise ValueError for updates of the user that are impossible.
 
     Args:
         updates: New fields at the end of a step.
         moving: The loop's bodies and carried points.
+        renewed: Fields that are renewed anyway, as ``renewals`` returns them.
     """
     for points, fields in updates.items():
         if points not in moving:
@@ -83,3 +104,9 @@ def check_updates(
         unknown = sorted(name for name in fields if name not in points)
         if unknown:
             raise ValueError(f"updates are given for fields that the points do not have: {unknown}")
+        for name in fields:
+            if name in renewed[points] and not _is_same(fields[name], renewed[points][name]):
+                raise ValueError(
+                    f"the field {name!r} is renewed twice: its stress or renew(..) gives it a new "
+                    "value already, so leave it out of updates"
+                )

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from dolfinx import fem
 
 from fenicsmpm import _compat
-from fenicsmpm.forms import Form
 from fenicsmpm.points import MaterialPoints
 
 logger = logging.getLogger(__name__)
@@ -68,16 +68,16 @@ def require_points(bodies: Sequence[MaterialPoints]) -> None:
         raise ValueError("all bodies are empty: there are no points to move")
 
 
-def warn_of_points_that_stay(R: Form, moving: Sequence[MaterialPoints]) -> None:
+def warn_of_points_that_stay(domains: Iterable[Any], moving: Sequence[MaterialPoints]) -> None:
     """Log a warning for integrals over points that do not move.
 
     Args:
-        R: Compiled residual.
+        domains: Domains of integrals: point sets and others.
         moving: Point sets that the simulation moves.
     """
-    for integral in R.point_integrals:
-        if integral.points not in moving:
+    for points in dict.fromkeys(p for p in domains if isinstance(p, MaterialPoints)):
+        if points not in moving:
             logger.warning(
                 "%d points of an integral are neither bodies nor carried: they stay where they "
-                "are", integral.points.size_global,
+                "are", points.size_global,
             )  # fmt: skip
