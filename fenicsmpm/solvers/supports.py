@@ -78,7 +78,8 @@ def _pieces(A: PETSc.Mat, comm: MPI.Comm) -> npt.NDArray[np.int64]:
     is_alone = np.ones(n, dtype=np.bool_)
     is_alone[rows[columns != rows]] = False
     if comm.size > 1:
-        first = comm.exscan(count) or 0
+        counts = comm.allgather(count)
+        first = sum(counts[: comm.rank])
         elsewhere = np.unique(columns[~is_here]) + begin
         numbers = A.createVecRight()
         numbers.array_w[:] = labels + first
@@ -89,8 +90,8 @@ def _pieces(A: PETSc.Mat, comm: MPI.Comm) -> npt.NDArray[np.int64]:
             axis=0,
         )  # fmt: skip
         a, b = np.vstack(comm.allgather(pairs)).T
-        total = comm.allreduce(count)
-        same = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(total, total))
+        shape = sum(counts), sum(counts)
+        same = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=shape)
         labels = scipy.sparse.csgraph.connected_components(same, directed=False)[1][labels + first]
     return np.where(is_alone, -1, labels.astype(np.int64))
 
