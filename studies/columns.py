@@ -161,11 +161,12 @@ def paired_turns(t, values, known, apart):
 def main(
     name: str, cases: list[str] = ["1", "2", "3", "4", "5"], until: float | None = None,
     stabilization: str = "asgs", scheme: str = "Bossak", h: float | None = None,
-    dt: float | None = None, taylor: bool = True, restart: bool = False,
+    dt: float | None = None, taylor: bool = True, tied: bool = False, restart: bool = False,
 ):  # fmt: skip
     """Run CASES of bending_beam or twisting_column: 1 to 5, cmn, smooth, smooth-cmn, energy.
 
     H and DT are those of all cases, if given. TAYLOR maps velocities to nodes with their gradients.
+    TIED ties nodes with little mass in cases 1 to 5, whose subscales then have inertia.
     """
     if name not in COLUMNS or not set(cases) <= set(CASES):
         known = f"columns are {', '.join(COLUMNS)}, cases {', '.join(CASES)}"
@@ -180,11 +181,11 @@ def main(
     table.row("P2-P1", known[1, first], known[0, first], *[None] * 4)
     for case in cases:
         options = {"stabilization": stabilization, "scheme": scheme, "taylor": taylor}
-        options |= CASES[case]
+        options |= {"tied": tied, "transient": tied} | CASES[case]
         options |= {"dt": step} if "functions" in options else {}
         options |= of_cmn if case.endswith("cmn") else {}
         options |= {key: value for key, value in {"h": h, "dt": dt}.items() if value}
-        file = f"{name}_{case}_{options['stabilization']}_{options['scheme']}"
+        file = f"{name}_{case}_{options['stabilization']}_{options['scheme']}" + "_tied" * tied
         history, body, halved = run(name, until or end, file, restart, **options)
         t, u_x, left = (history[title] for title in ("t [s]", "u_x [m]", "energy [J]"))
         curves[f"case {case}"], first = (t, u_x), np.argmax(np.abs(u_x[t <= window]))
