@@ -13,7 +13,7 @@ from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import momentum, resultant
 from fenicsmpm.materials import Hencky, NeoHookean
-from fenicsmpm.simulation import Resultant
+from fenicsmpm.simulation import Resultant, Source
 
 COMM = MPI.COMM_WORLD
 ANGLE, GRAVITY = np.pi / 6, 9.81
@@ -258,6 +258,30 @@ def test_cylinder_rolls_and_slips(friction):
     assert found == pytest.approx(of_rigid_cylinder(friction), rel=0.03)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_normals_that_are_none(value):
+    """One bad normal on one rank is an error on all ranks."""
+    domain = lattice((1.0, 1.0), [4, 4])
+    edge = points.on_curve(domain, (0.1, 0.5), (0.9, 0.5), spacing=0.1)
+    bad = np.flatnonzero(edge.id == edge.size_global - 1)
+    edge["normal"][bad] = value
+    z, law = fm.Unknown(domain, "u", "p"), NeoHookean(1.0, 0.5)
+    body = points.fill(domain, 2)
+    fm.set_initial_state(body, 1.0)
+    said = "1 of .* normals are zero or not finite, first at .*: give outer unit normals by set_"
+    for make in (
+        lambda: fm.nitsche_dirichlet(z, edge, law),
+        lambda: fm.follower_pressure(z, edge, 1.0),
+        lambda: Source(body, edge, 1.0, (0.0, 0.0), 0.1),
+    ):
+        with pytest.raises(ValueError, match=said):
+            make()
+    # these have no need of them
+    fm.penalty_dirichlet(z, edge, law)
+    fm.wall(z, edge, law, lambda x: x[1])
+
+
 def test_bad_input():
     domain = lattice((1.0, 1.0), [4, 4])
     edge = points.on_curve(domain, (0.1, 0.5), (0.9, 0.5), spacing=0.1)
@@ -269,6 +293,8 @@ def test_bad_input():
     for options, message in (
         ({"friction": -0.1}, "finite and not negative: -0.1"),
         ({"friction": np.nan}, "finite and not negative: nan"),
+        ({"friction": "0.3"}, "must be one number .* friction = '0.3'"),
+        ({"factor": "a"}, "must be one number .* factor = 'a'"),
         ({"friction": 0.1, "two_sided": True}, "friction needs a pressure"),
         ({"factor": 0.0}, "factor of the penalty must be positive"),
     ):
@@ -282,6 +308,16 @@ def test_bad_input():
         fm.nitsche_dirichlet(fm.Unknown(domain, "u"), edge, law)
     with pytest.raises(ValueError, match="factor of the penalty must be positive"):
         fm.nitsche_dirichlet(z, edge, law, factor=-1.0)
+    for gamma in ("a", np.inf, np.nan, 0.0):
+        body = points.fill(domain, 2)
+        fm.set_initial_state(body, 1.0)
+        cells = ActiveCells(body)
+        for form in (
+            lambda gamma=gamma, cells=cells: fm.ghost_penalty(z, cells, law, gamma=gamma),
+            lambda gamma=gamma, cells=cells: fm.interior_penalty(z, cells, law, gamma=gamma),
+        ):
+            with pytest.raises(ValueError, match=f"gamma = '?{gamma}"):
+                form()
     nobody = points.on_curve(domain, (0.1, 0.5), (0.9, 0.5), spacing=0.1)
     nobody.remove(lambda x: x[0] > 0)
     with pytest.raises(ValueError, match="on no points"):
