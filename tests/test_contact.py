@@ -437,7 +437,7 @@ def test_what_cannot_be():
     for friction in (-0.1, np.nan, np.inf):
         with pytest.raises(ValueError, match="friction must be finite and not negative"):
             fm.contact(a, edge, b, surface, LAW, friction=friction)
-    with pytest.raises(ValueError, match="must be one number .* friction = '0.3'"):
+    with pytest.raises(ValueError, match=r"must be one number .* friction = '0.3'"):
         fm.contact(a, edge, b, surface, LAW, friction="0.3")
     for factor in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="factor of the penalty must be positive"):

@@ -122,7 +122,7 @@ def test_what_cannot_be():
             Source(fluid, inlet, 1.0, velocity, 0.1)
     with pytest.raises(ValueError, match="field 'normal'"):
         Source(fluid, points.at(domain, (0.1, 0.5)), 1.0, (1.0, 0.0), 0.1)
-    with pytest.raises(ValueError, match="must be a marker, .* not 0.5"):
+    with pytest.raises(ValueError, match=r"must be a marker, .* not 0\.5"):
         Sink(fluid, 0.5)
     z = fm.Unknown(domain, "v")
     z.fix("v", lambda x: np.isclose(x[0], 0))
