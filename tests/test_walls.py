@@ -12,6 +12,7 @@ from fenicsmpm import ExplicitMPM, ImplicitMPM, basis, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import momentum, resultant
+from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import Hencky, NeoHookean
 from fenicsmpm.simulation import Resultant, Source
 
@@ -59,6 +60,76 @@ def test_stretched_block_by_nitsche(steps):
     assert pull.value[0] == pytest.approx(stress * 0.95 / 1.2, rel=0.005)
     assert abs(pull.value[1]) < 1e-3 * pull.value[0]
     assert np.abs(end["u"][:, 0] - 0.21).max(initial=0) < 2e-3
+    assert mean_stress(law, body) == pytest.approx(stress, rel=0.005)  # 0.7456 Pa
+
+
+def mean_stress(law, body):
+    """Cauchy stress along x [Pa], averaged over the volume."""
+    sigma = evaluate(law.deviatoric_stress(body.field("F"))[0, 0] + body.field("p"), body)
+    sums = COMM.allreduce(np.array([np.sum(sigma * body.weight), np.sum(body.weight)]))
+    return sums[0] / sums[1]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("slip", [True, False])
+@pytest.mark.parametrize("kind", ["quadratic", "triangle", "hexahedron"])
+def test_variants_of_nitsche(kind, slip, symmetric):
+    """An incompressible block of few cells, drawn to 1.1 times its length in plane strain."""
+    h, E, stretch = 0.25, 3.0, 1.1
+    if kind == "hexahedron":
+        domain = mesh.create_box(
+            COMM, [(0, 0, 0), (1.5, 1.25, h)], [6, 5, 1], mesh.CellType.hexahedron
+        )
+        place = (np.arange(8) + 0.5) / 8
+        y, across = (a.ravel() for a in np.meshgrid(place, h * place, indexing="ij"))
+        x = np.column_stack([np.ones_like(y), y, across])
+        end = points.MaterialPoints(domain, x if COMM.rank == 0 else x[:0], h / len(x))
+        fm.set_normals(end, (1.0, 0.0, 0.0))
+    else:
+        cell = mesh.CellType.triangle if kind == "triangle" else mesh.CellType.quadrilateral
+        domain = mesh.create_rectangle(
+            COMM, [(0, 0), (1.5, 1.25)], [6, 5], cell,
+            partitioner=basis.shared_vertex_partitioner,
+        )  # fmt: skip
+        end = points.on_curve(domain, (1.0, 0), (1.0, 1.0), spacing=h / 6)
+    body = points.fill(domain, 4, inside=lambda x: (x[0] < 1) & (x[1] < 1))
+    fm.set_initial_state(body, 1.0)
+    if kind == "quadratic":
+        for p in (body, end):
+            basis.use(p, "quadratic")
+    dim, area = domain.geometry.dim, h if kind == "hexahedron" else 1.0
+    z = fm.Unknown(domain, "u", "p")
+    for k in range(2):
+        z.fix("u", lambda x, k=k: np.isclose(x[k], 0), component=k)
+    if dim == 3:
+        z.fix("u", lambda x: np.full(x.shape[1], True), component=2)
+    # one step for linear functions, as points integrate kinks exactly only where they begin
+    steps = 2 if kind == "quadratic" else 1
+    law, scheme = NeoHookean(E, 0.5), fm.QuasiStatic(z, dt=1 / steps)
+    cells, g = ActiveCells(body, loads=[end]), fem.Constant(domain, (0.0, 0.0))
+    end.add_field("height", (), end.x[:, 1])
+    value = ufl.as_vector([g[0], g[1] * end.field("height"), 0][:dim])
+    support = fm.nitsche_dirichlet(z, end, law, value, slip=slip, symmetric=symmetric)
+    pull = Resultant(z, support)
+
+    def data(start, now):
+        g.value[:] = (stretch - 1) * now, 1 / (1 + (stretch - 1) * now) - 1
+
+    sim = ImplicitMPM(
+        fm.stabilized("cip", z, body, law, cells=cells) + support, z, scheme, body, carried=[end],
+        data=data, observers=[pull], newton={"tying": Tying(z.space, body, cells)},
+    )  # fmt: skip
+    for _ in sim.run(1.0):
+        pass
+    stress = E / 3 * (stretch**2 - stretch**-2)
+    rel = 0.005 if kind == "quadratic" else 1e-7
+    assert pull.value[0] == pytest.approx(stress * area / stretch, rel=rel)
+    assert mean_stress(law, body) == pytest.approx(stress, rel=rel)
+    assert np.abs(end["u"][:, 0] - (stretch - 1)).max(initial=0) < 1e-3
+    if not slip:
+        thinner = (1 / stretch - 1) * end["height"]
+        assert np.abs(end["u"][:, 1] - thinner).max(initial=0) < 1e-3
 
 
 def test_wall_presses_and_does_not_pull():
