@@ -75,6 +75,7 @@ def test_viscous_flow_between_plates():
     assert np.sqrt(squares[0] / squares[1]) < 0.04  # of 1 m/s
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["kernels", "forms"])
 def test_plug_of_fluid_through_a_channel(kind):
     """Explicit steps: what flows in at 1 m/s flows out so, and points stay in rows."""
