@@ -346,6 +346,8 @@ def test_wrong_contacts():
     for friction in (-0.1, float("nan")):
         with pytest.raises(ValueError, match=f"friction.*{friction}"):
             Contact(a, b, friction)
+    with pytest.raises(ValueError, match=r"must be one number .* friction = '0.3'"):
+        Contact(a, b, "0.3")
     for stiffness in (0.0, float("inf"), float("nan")):
         with pytest.raises(ValueError, match=f"stiffness.*{stiffness}"):
             Contact(a, b, stiffness=stiffness)

@@ -12,11 +12,13 @@ from dolfinx import fem, mesh
 
 from fenicsmpm import ExplicitMPM, ImplicitMPM, basis, points
 from fenicsmpm import formulations as fm
+from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import (
     DruckerPrager,
     Hencky,
     Law,
+    ModifiedCamClay,
     MohrCoulomb,
     NeoHookean,
     NewtonianFluid,
@@ -242,6 +244,21 @@ def test_explicit_column_by_forms():
     assert_rest(body, body["sigma"], 1e-10)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("fused", [True, False])
+def test_explicit_column_of_clay(fused):
+    """Cam-Clay has a pressure without strain, and is elastic here."""
+    clay = ModifiedCamClay(
+        10e6, M=1.2, compression=0.1, swelling=0.01, pressure=100e3, preconsolidation=300e3
+    )
+    body = column("quadratic")
+    fm.initial_stress(body, clay, AT_REST)
+    for _ in explicit(body, clay, fused).run(0.5 if fused else 0.05, 0.25):
+        pass
+    assert np.all(body["eps_v_p"] == 0)
+    assert_rest(body, body["sigma"], 1e-10)
+
+
 AVERAGED = {
     "incompressible": Hencky(E=50e6, nu=0.495),
     "plastic": MohrCoulomb(E=50e6, nu=0.3, cohesion=5e3, friction=30.0),
@@ -347,6 +364,26 @@ def test_mixed_column_at_rest(nu):
     F = body.field("F")
     sigma = law.deviatoric_stress(F) + body.field("p") * ufl.Identity(3)
     assert np.abs(body["v"]).max(initial=0) < 1e-12 * SPEED
+    found = evaluate(sigma, body)
+    assert found == pytest.approx(expected(body), rel=1e-8, abs=1e-8 * DENSITY * G * DEPTH)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["cip", "hessian", "split_osgs"])
+def test_mixed_column_of_splines_at_rest(name):
+    """Penalties on jumps and second derivatives, and projections, leave pressures like z as is."""
+    body, law = column("quadratic"), NeoHookean(E=50e6, nu=0.5)
+    z = supported(body.mesh, "p")
+    time, cells = fm.Bossak(z, dt=0.1), ActiveCells(body)
+    fm.initial_stress(body, law, AT_REST)
+    options = {"cells": cells} if name == "cip" else {}
+    force = time.force(body, ufl.as_vector((0, -G)))
+    R = fm.stabilized(name, z, body, law, force=force, **options)
+    sim = ImplicitMPM(R, z, time, body, newton={"tying": Tying(z.space, body, cells)})
+    for _ in sim.run(1.0):
+        pass
+    sigma = law.deviatoric_stress(body.field("F")) + body.field("p") * ufl.Identity(3)
+    assert np.abs(body["v"]).max(initial=0) < 1e-10 * SPEED
     found = evaluate(sigma, body)
     assert found == pytest.approx(expected(body), rel=1e-8, abs=1e-8 * DENSITY * G * DEPTH)
 

@@ -221,6 +221,27 @@ def test_interior_penalty_with_inertia():
         assert A.data[seen] == pytest.approx(ratio * plain.data[seen], rel=1e-12)
 
 
+@pytest.mark.mpi
+def test_split_osgs_with_inertia():
+    """Likewise h^2 / (2 mu + rho r_a h^2) instead of h^2 / (2 mu)."""
+    body, law = use(points.fill(lattice(2), 3), "quadratic"), NeoHookean(3 * MU, 0.5)
+    fm.set_initial_state(body, 3.5)
+    z = Unknown(body.mesh, "u", "p")
+    z.interpolate("p", noise(z.part_space("p")))
+    scheme = Bossak(z, dt=0.02)
+    h_squared = np.prod((UPPER - LOWER)[:2] / (6, 5))
+    alpha = (0.8 - 1) / (0.8 + 1)
+    beta = (1 - alpha) ** 2 / 4
+    plain = residual(fm.split_osgs(z, body, law))
+    for dt in (0.02, 0.1):
+        scheme.dt.value = dt
+        inertia = 3.5 * (1 - alpha) / (beta * dt**2)
+        ratio = (2 * MU / h_squared) / (2 * MU / h_squared + inertia)
+        assert ratio < 0.995
+        found = residual(fm.split_osgs(z, body, law, scheme=scheme))
+        assert found == pytest.approx(ratio * plain, rel=1e-9, abs=1e-12 * np.abs(plain).max())
+
+
 @pytest.mark.ranks
 @pytest.mark.mpi
 def test_interior_penalty_follows_points_and_counts_loads():
@@ -503,11 +524,11 @@ def test_tangents(name, nu):
 # --- time schemes ---------------------------------------------------------------------------------
 
 
-def spinning(dim=2, density=2.0, comm=COMM):
-    """A block that flies and turns, on quadratic splines."""
+def spinning(dim=2, density=2.0, comm=COMM, functions="quadratic"):
+    """A block that flies and turns, on smooth functions."""
     domain = rectangle((3, 2), (18, 12), comm)
     body = points.lattice(domain, 0.5 / 12, inside=lambda x: np.abs(x[:2] - 0.8).max(axis=0) < 0.4)
-    basis.use(body, "quadratic")
+    basis.use(body, functions, *([0.5 / 24] if functions == "gimp" else []))
 
     def v0(x):
         return np.array([1.0 + 2.0 * (0.8 - x[1]), 0.5 + 2.0 * (x[0] - 0.8)])
@@ -547,6 +568,30 @@ def test_flight_by_all_schemes(name, way):
     turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
     expected = (start - start.mean(axis=0)) @ turn.T
     assert now - now.mean(axis=0) == pytest.approx(expected, abs=2.5e-3)  # BDF2; others 1e-4
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("functions", "name"), [("gimp", "cip"), ("quadratic", "hessian"), ("quadratic", "split_osgs")]
+)
+def test_flight_by_others(functions, name):
+    """The same with uGIMP, and with the other stabilizations of splines."""
+    body = spinning(functions=functions)
+    z, law = Unknown(body.mesh, "u", "p"), NeoHookean(1000.0, 0.5)
+    scheme, cells = Bossak(z, dt=0.01), ActiveCells(body)
+    options = {"cells": cells} if name == "cip" else {}
+    R = fm.stabilized(name, z, body, law, force=scheme.force(body), **options)
+    newton = {"rtol": 1e-12, "tying": Tying(z.space, body, cells)}
+    sim = ImplicitMPM(R, z, scheme, body, newton=newton, taylor=True)
+    before, start = diagnostics.momentum(body), by_id(body, body.x)
+    for step in sim.run(until=0.05):
+        assert step.newton.iterations <= 5
+        assert diagnostics.momentum(body) == pytest.approx(before, rel=1e-9)
+        assert np.abs(body["J"] - 1).max(initial=0.0) < 0.005
+    now = by_id(body, body.x)
+    turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    expected = (start - start.mean(axis=0)) @ turn.T
+    assert now - now.mean(axis=0) == pytest.approx(expected, abs=2.5e-3)
 
 
 @pytest.mark.mpi
@@ -915,7 +960,7 @@ def test_patterns_of_mixed_spaces(name, compact):
 # --- whole runs -----------------------------------------------------------------------------------
 
 
-def leaving(comm=COMM):
+def leaving(comm=COMM, functions="quadratic"):
     """Two blocks that touch and fly out of the mesh, pulled at the rim of one of them."""
     domain = rectangle((2, 2), (8, 8), comm)
     bodies = []
@@ -929,7 +974,7 @@ def leaving(comm=COMM):
         bodies.append(body)
     edge = points.on_curve(domain, (1.28, 1.1), (1.28, 1.4), spacing=0.05)
     for p in (*bodies, edge):
-        basis.use(p, "quadratic")
+        basis.use(p, functions, *([0.03125] if functions == "gimp" else []))
     z, law = Unknown(domain, "u", "p"), NeoHookean(100.0, 0.5)
     scheme = Bossak(z, dt=0.02)
     cells = ActiveCells(*bodies, loads=[edge])
@@ -942,9 +987,10 @@ def leaving(comm=COMM):
 
 @pytest.mark.ranks
 @pytest.mark.mpi
-def test_goes_on_bit_by_bit_while_points_leave(tmp_path):
+@pytest.mark.parametrize("functions", ["quadratic", "gimp"])
+def test_goes_on_bit_by_bit_while_points_leave(tmp_path, functions):
     path = COMM.bcast(tmp_path) / "splines.h5"
-    sim, again = leaving(), leaving()
+    sim, again = leaving(functions=functions), leaving(functions=functions)
     removed = [sim.step((0.02, 0.01)[k % 2]).removed for k in range(3)]
     checkpoint.save(path, sim)
     checkpoint.restore(path, again)
@@ -962,7 +1008,8 @@ def test_goes_on_bit_by_bit_while_points_leave(tmp_path):
 
 
 @pytest.mark.mpi
-def test_bodies_that_touch_fly_as_one():
+@pytest.mark.parametrize("functions", ["quadratic", "gimp"])
+def test_bodies_that_touch_fly_as_one(functions):
     """Two bodies that share cells, with one set of active cells, and the same as one body."""
 
     def flight(sides):
@@ -974,7 +1021,7 @@ def test_bodies_that_touch_fly_as_one():
                 inside=lambda x, s=side: (np.abs(x[:2] - 0.8).max(axis=0) < 0.4)
                 & (s * (x[0] + x[1] / 3 - 1.1) >= 0),
             )  # fmt: skip
-            basis.use(body, "quadratic")
+            basis.use(body, functions, *([0.5 / 24] if functions == "gimp" else []))
             fm.set_initial_state(body, 2.0, lambda x: np.array([1 - 2 * x[1], 2 * x[0] - 1]))
             bodies.append(body)
         z, law = Unknown(domain, "u", "p"), NeoHookean(300.0, 0.5)

@@ -32,6 +32,7 @@ CASES = {
     "dilatant": {"cohesion": 10.0, "friction": 30.0, "dilatancy": 10.0},
     "associated": {"cohesion": 10.0, "friction": 30.0, "dilatancy": 30.0},
     "cut-off": {"cohesion": 10.0, "friction": 30.0, "dilatancy": 10.0, "tension": 3.0},
+    "no tension": {"cohesion": 10.0, "friction": 30.0, "tension": 0.0},
     "clay": {"cohesion": 10.0, "friction": 0.0},
     "softening": {"cohesion": 10.0, "friction": 30.0, "dilatancy": 10.0, **SOFTENING},
     "softening cut-off": {"cohesion": 10.0, "friction": 25.0, "tension": 4.0, **SOFTENING},
@@ -482,27 +483,97 @@ def test_residual_strength_in_triaxial_compression(kind):
 
 
 @frictional
-@pytest.mark.parametrize("case", ["sand", "dilatant", "cut-off", "softening"])
-@pytest.mark.parametrize("direction", [(1, 1, 1), (1, 1, 0), (1, 0, 0)])
+@cases
+@pytest.mark.parametrize("direction", [(1, 1, 1), (1, 1, 0), (1, 0, 0), (1, 0.2, -0.3)])
 def test_what_flies_apart_closes_without_resistance(kind, case, direction):
     """Pulled apart and pushed back: no pressure until the volume is that of the beginning."""
     law = kind(E, NU, **CASES[case])
     direction = np.array(direction, float)
-    state, pressures = law.initial_state(1), []
+    state, pressures, openings = law.initial_state(1), [], []
     path = np.concatenate([np.linspace(0, 1, 41), np.linspace(1, 0, 41), np.linspace(0, -0.05, 6)])
     for e in path:
         tau = kirchhoff(law, diagonal(e * direction), state)[0]
         pressures.append(-np.trace(tau) / 3)
+        openings.append(law.state_field(state, "opening")[0])
         assert excess(law, tau[None])[0] < 1e-9 * E
-    pressures = np.array(pressures)
-    isotropic = direction.all()
-    if isotropic or case == "sand":
-        # all of the way back; nothing but elastic unloading from the limit of tension
-        assert np.all(np.abs(pressures[42:81]) < 1e-10 * E)
-        assert law.state_field(state, "opening")[0] < 1e-13
+    pressures, openings, volume = np.array(pressures), np.array(openings), path * direction.sum()
+    isotropic, squeezed = direction.min() == 1, direction.min() < 0
+    is_open = openings > 1e-13
+    assert squeezed or is_open[2:80].any() == (case != "clay")
+    assert not is_open[82 + squeezed :].any()
+    # Volume changes by elasticity, openings, and dilatancy that is complete when it opens.
+    dilated = volume + pressures / law.kappa - openings
+    assert np.abs(dilated[is_open] - dilated[is_open][:1]).max(initial=0) < 1e-13
+    if law.parameters[5] == 0 or isotropic:
+        assert np.abs(dilated).max() < 1e-13
+        assert squeezed or pressures[42:82].max() < 1e-10 * E
         assert np.all(np.diff(pressures[82:]) > 0)
-    if isotropic:
-        assert pressures[83:] == pytest.approx(-3 * law.kappa * path[83:], rel=1e-9)
+        assert pressures[83:] == pytest.approx(-law.kappa * volume[83:], rel=1e-9)
+    # While open, it carries no more pressure than it did when it opened.
+    back = is_open.copy()
+    back[:41] = False
+    assert pressures[back].max(initial=0) <= max(pressures[:41].max(), 0) + 1e-10 * E
+
+
+@pytest.mark.parametrize("case", ["cut-off", "no tension", "softening cut-off"])
+@pytest.mark.parametrize("strain", [0.01, 0.05])
+def test_cracks_close_before_there_is_more_compression(case, strain):
+    """Squeezed from two sides while it cracks: what it carries stays, and closing dissipates."""
+    law = MohrCoulomb(E, NU, **CASES[case])
+    state, pressures = law.initial_state(1), []
+    path = [(0.0, -strain * t) for t in np.linspace(0, 1, 6)]
+    path += [(e, -strain) for e in np.linspace(0, 0.2, 41)[1:]]
+    carried = len(path) - 1
+    path += [(e, -strain) for e in np.linspace(0.2, -0.01, 43)[1:]]
+    dissipation = 0.0
+    for across, along in path:
+        tau = kirchhoff(law, diagonal(np.array([across, along, along])), state)[0]
+        pressures.append(-np.trace(tau) / 3)
+        opening = law.state_field(state, "opening")[0]
+        before, dissipation = dissipation, law.state_field(state, "dissipation")[0]
+        assert dissipation >= before - 1e-14 * E
+        if len(pressures) - 1 > carried and opening > 1e-13:
+            assert pressures[-1] <= pressures[carried] + 1e-10 * E
+        if len(pressures) - 1 == carried:
+            assert opening > 0.05 and pressures[-1] > 1.0
+    assert opening == 0
+    if law.parameters[5] == 0:  # all of the volume is back
+        assert pressures[-1] == pytest.approx(law.kappa * (0.01 + 2 * strain), rel=1e-9)
+
+
+@frictional
+@cases
+@pytest.mark.parametrize("noise", [0.012, 0.05])
+def test_random_paths_that_open_and_close(kind, case, noise):
+    """Tangent, work, dissipation and volume, at all steps of points that part and come back."""
+    law, n = kind(E, NU, **CASES[case]), 60
+    state, F = law.initial_state(n), np.tile(np.eye(3), (n, 1, 1))
+    gradients, h, d = np.empty((n, 3, 3)), 1e-6, np.zeros((3, 3))
+    for step in range(14):
+        old = state.copy()
+        F = F @ steps(noise, n, seed=step, mean=0.02 if step < 6 else -0.025)
+        assert check_tangent(law, F, old) < 1e-6
+        mean = np.trace(kirchhoff(law, F, state), axis1=1, axis2=2) / 3
+        opening, before = (law.state_field(s, "opening") for s in (state, old))
+        assert np.all(law.state_field(state, "dissipation") >= old[:, 11] - 1e-13 * E)
+        assert np.all(opening >= 0)
+        more = mean < law.state_field(old, "open_stress") - 1e-9 * E
+        assert not np.any(more & (opening > 1e-13) & (before > 0))
+        if law.parameters[5] == 0:
+            volume = np.log(np.linalg.det(F))
+            assert np.abs(mean / law.kappa - volume + opening).max() < 1e-12
+
+        def work(F, old=old):
+            state = old.copy()
+            materials.stress(law, F, state=state)
+            return materials.energy(law, F, state) + law.state_field(state, "dissipation")
+
+        for p in range(n):
+            law.work_gradient(F[p], law.parameters, old[p], gradients[p])
+        for i, j in ((0, 0), (1, 2)):
+            d[:], d[i, j] = 0, h
+            slope = (work(F + d) - work(F - d)) / (2 * h)
+            assert np.abs(slope - gradients[:, i, j]).max() < 2e-6 * E
 
 
 @frictional

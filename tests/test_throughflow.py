@@ -75,6 +75,7 @@ def test_viscous_flow_between_plates():
     assert np.sqrt(squares[0] / squares[1]) < 0.04  # of 1 m/s
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["kernels", "forms"])
 def test_plug_of_fluid_through_a_channel(kind):
     """Explicit steps: what flows in at 1 m/s flows out so, and points stay in rows."""
@@ -122,6 +123,8 @@ def test_what_cannot_be():
             Source(fluid, inlet, 1.0, velocity, 0.1)
     with pytest.raises(ValueError, match="field 'normal'"):
         Source(fluid, points.at(domain, (0.1, 0.5)), 1.0, (1.0, 0.0), 0.1)
+    with pytest.raises(ValueError, match=r"must be a marker, .* not 0\.5"):
+        Sink(fluid, 0.5)
     z = fm.Unknown(domain, "v")
     z.fix("v", lambda x: np.isclose(x[0], 0))
     R = fm.internal_force(z.test.v, fluid, NewtonianFluid(kappa=1e2, mu=1.0))

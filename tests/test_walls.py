@@ -12,8 +12,9 @@ from fenicsmpm import ExplicitMPM, ImplicitMPM, basis, points
 from fenicsmpm import formulations as fm
 from fenicsmpm.cells import ActiveCells, Tying
 from fenicsmpm.diagnostics import momentum, resultant
+from fenicsmpm.forms import evaluate
 from fenicsmpm.materials import Hencky, NeoHookean
-from fenicsmpm.simulation import Resultant
+from fenicsmpm.simulation import Resultant, Source
 
 COMM = MPI.COMM_WORLD
 ANGLE, GRAVITY = np.pi / 6, 9.81
@@ -59,6 +60,85 @@ def test_stretched_block_by_nitsche(steps):
     assert pull.value[0] == pytest.approx(stress * 0.95 / 1.2, rel=0.005)
     assert abs(pull.value[1]) < 1e-3 * pull.value[0]
     assert np.abs(end["u"][:, 0] - 0.21).max(initial=0) < 2e-3
+    assert mean_stress(law, body) == pytest.approx(stress, rel=0.005)  # 0.7456 Pa
+
+
+def mean_stress(law, body):
+    """Cauchy stress along x [Pa], averaged over the volume."""
+    sigma = evaluate(law.deviatoric_stress(body.field("F"))[0, 0] + body.field("p"), body)
+    sums = COMM.allreduce(np.array([np.sum(sigma * body.weight), np.sum(body.weight)]))
+    return sums[0] / sums[1]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("kind", "slip", "symmetric"),
+    [
+        ("quadratic", True, False),
+        ("quadratic", False, True),
+        ("quadratic", False, False),
+        ("triangle", True, True),
+        ("triangle", False, False),
+        ("hexahedron", True, True),
+        ("hexahedron", False, False),
+    ],
+)
+def test_variants_of_nitsche(kind, slip, symmetric):
+    """An incompressible block of few cells, drawn to 1.1 times its length in plane strain."""
+    h, E, stretch = 0.25, 3.0, 1.1
+    if kind == "hexahedron":
+        domain = mesh.create_box(
+            COMM, [(0, 0, 0), (1.5, 1.25, h)], [6, 5, 1], mesh.CellType.hexahedron
+        )
+        place = (np.arange(8) + 0.5) / 8
+        y, across = (a.ravel() for a in np.meshgrid(place, h * place, indexing="ij"))
+        x = np.column_stack([np.ones_like(y), y, across])
+        end = points.MaterialPoints(domain, x if COMM.rank == 0 else x[:0], h / len(x))
+        fm.set_normals(end, (1.0, 0.0, 0.0))
+    else:
+        cell = mesh.CellType.triangle if kind == "triangle" else mesh.CellType.quadrilateral
+        domain = mesh.create_rectangle(
+            COMM, [(0, 0), (1.5, 1.25)], [6, 5], cell,
+            partitioner=basis.shared_vertex_partitioner,
+        )  # fmt: skip
+        end = points.on_curve(domain, (1.0, 0), (1.0, 1.0), spacing=h / 6)
+    body = points.fill(domain, 4, inside=lambda x: (x[0] < 1) & (x[1] < 1))
+    fm.set_initial_state(body, 1.0)
+    if kind == "quadratic":
+        for p in (body, end):
+            basis.use(p, "quadratic")
+    dim, area = domain.geometry.dim, h if kind == "hexahedron" else 1.0
+    z = fm.Unknown(domain, "u", "p")
+    for k in range(2):
+        z.fix("u", lambda x, k=k: np.isclose(x[k], 0), component=k)
+    if dim == 3:
+        z.fix("u", lambda x: np.full(x.shape[1], True), component=2)
+    # one step for linear functions, as points integrate kinks exactly only where they begin
+    steps = 2 if kind == "quadratic" else 1
+    law, scheme = NeoHookean(E, 0.5), fm.QuasiStatic(z, dt=1 / steps)
+    cells, g = ActiveCells(body, loads=[end]), fem.Constant(domain, (0.0, 0.0))
+    end.add_field("height", (), end.x[:, 1])
+    value = ufl.as_vector([g[0], g[1] * end.field("height"), 0][:dim])
+    support = fm.nitsche_dirichlet(z, end, law, value, slip=slip, symmetric=symmetric)
+    pull = Resultant(z, support)
+
+    def data(start, now):
+        g.value[:] = (stretch - 1) * now, 1 / (1 + (stretch - 1) * now) - 1
+
+    sim = ImplicitMPM(
+        fm.stabilized("cip", z, body, law, cells=cells) + support, z, scheme, body, carried=[end],
+        data=data, observers=[pull], newton={"tying": Tying(z.space, body, cells)},
+    )  # fmt: skip
+    for _ in sim.run(1.0):
+        pass
+    stress = E / 3 * (stretch**2 - stretch**-2)
+    rel = 0.005 if kind == "quadratic" else 1e-7
+    assert pull.value[0] == pytest.approx(stress * area / stretch, rel=rel)
+    assert mean_stress(law, body) == pytest.approx(stress, rel=rel)
+    assert np.abs(end["u"][:, 0] - (stretch - 1)).max(initial=0) < 1e-3
+    if not slip:
+        thinner = (1 / stretch - 1) * end["height"]
+        assert np.abs(end["u"][:, 1] - thinner).max(initial=0) < 1e-3
 
 
 def test_wall_presses_and_does_not_pull():
@@ -102,13 +182,13 @@ def incline(x):
 
 def check_incline(sim, body, force, friction, until, after):
     """It slides with g (sin a - mu cos a), or rests."""
-    mass = body["mass"].sum()
+    mass = COMM.allreduce(body["mass"].sum())
     weight, speeds, times, forces, places = mass * GRAVITY, [], [], [], []
     for step in sim.run(until):
         times.append(step.time)
         speeds.append(momentum(body) @ ALONG / mass)
         forces.append(force.value)
-        places.append(np.mean(body["u"] @ ALONG))
+        places.append(COMM.allreduce(np.sum(body["u"] @ ALONG)) / body.size_global)
     late = np.array(times) > after
     if friction < np.tan(ANGLE):
         slope = np.polyfit(np.array(times)[late], np.array(speeds)[late], 1)[0]
@@ -124,7 +204,7 @@ def check_incline(sim, body, force, friction, until, after):
     )
 
 
-@pytest.mark.parametrize("friction", [0.3, 0.6])
+@pytest.mark.parametrize("friction", [pytest.param(0.3, marks=pytest.mark.mpi), 0.6])
 def test_block_on_an_incline(friction):
     E = 1e6
     domain, body, edge = block_on_an_incline(0.1, rho=1000.0)
@@ -212,14 +292,15 @@ def disc_on_a_slope(h, E, rho, R=0.2):
 
 def accelerations(sim, body, along, until, after):
     """Of the body along a line [m/s^2], and of its spin [1/s^2], by lines through late times."""
-    mass, times, speeds, spins = body["mass"].sum(), [], [], []
+    mass, times, speeds, spins = COMM.allreduce(body["mass"].sum()), [], [], []
     for step in sim.run(until):
         m, x, v = body["mass"], body.x, body["v"]
-        v_c, arm = m @ v / mass, x - m @ x / mass
-        turning = m @ (arm[:, 0] * v[:, 1] - arm[:, 1] * v[:, 0])
+        v_c, centre = COMM.allreduce(m @ v) / mass, COMM.allreduce(m @ x) / mass
+        arm = x - centre
+        turning = COMM.allreduce(m @ (arm[:, 0] * v[:, 1] - arm[:, 1] * v[:, 0]))
         times.append(step.time)
         speeds.append(v_c @ along)
-        spins.append(turning / (m @ np.sum(arm**2, axis=1)))
+        spins.append(turning / COMM.allreduce(m @ np.sum(arm**2, axis=1)))
     late = np.array(times) > after
     return [np.polyfit(np.array(times)[late], np.array(y)[late], 1)[0] for y in (speeds, spins)]
 
@@ -258,6 +339,30 @@ def test_cylinder_rolls_and_slips(friction):
     assert found == pytest.approx(of_rigid_cylinder(friction), rel=0.03)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_normals_that_are_none(value):
+    """One bad normal on one rank is an error on all ranks."""
+    domain = lattice((1.0, 1.0), [4, 4])
+    edge = points.on_curve(domain, (0.1, 0.5), (0.9, 0.5), spacing=0.1)
+    bad = np.flatnonzero(edge.id == edge.size_global - 1)
+    edge["normal"][bad] = value
+    z, law = fm.Unknown(domain, "u", "p"), NeoHookean(1.0, 0.5)
+    body = points.fill(domain, 2)
+    fm.set_initial_state(body, 1.0)
+    said = "1 of .* normals are zero or not finite, first at .*: give outer unit normals by set_"
+    for make in (
+        lambda: fm.nitsche_dirichlet(z, edge, law),
+        lambda: fm.follower_pressure(z, edge, 1.0),
+        lambda: Source(body, edge, 1.0, (0.0, 0.0), 0.1),
+    ):
+        with pytest.raises(ValueError, match=said):
+            make()
+    # these have no need of them
+    fm.penalty_dirichlet(z, edge, law)
+    fm.wall(z, edge, law, lambda x: x[1])
+
+
 def test_bad_input():
     domain = lattice((1.0, 1.0), [4, 4])
     edge = points.on_curve(domain, (0.1, 0.5), (0.9, 0.5), spacing=0.1)
@@ -269,6 +374,8 @@ def test_bad_input():
     for options, message in (
         ({"friction": -0.1}, "finite and not negative: -0.1"),
         ({"friction": np.nan}, "finite and not negative: nan"),
+        ({"friction": "0.3"}, "must be one number .* friction = '0.3'"),
+        ({"factor": "a"}, "must be one number .* factor = 'a'"),
         ({"friction": 0.1, "two_sided": True}, "friction needs a pressure"),
         ({"factor": 0.0}, "factor of the penalty must be positive"),
     ):
@@ -282,6 +389,16 @@ def test_bad_input():
         fm.nitsche_dirichlet(fm.Unknown(domain, "u"), edge, law)
     with pytest.raises(ValueError, match="factor of the penalty must be positive"):
         fm.nitsche_dirichlet(z, edge, law, factor=-1.0)
+    for gamma in ("a", np.inf, np.nan, 0.0):
+        body = points.fill(domain, 2)
+        fm.set_initial_state(body, 1.0)
+        cells = ActiveCells(body)
+        for form in (
+            lambda gamma=gamma, cells=cells: fm.ghost_penalty(z, cells, law, gamma=gamma),
+            lambda gamma=gamma, cells=cells: fm.interior_penalty(z, cells, law, gamma=gamma),
+        ):
+            with pytest.raises(ValueError, match=f"gamma = '?{gamma}"):
+                form()
     nobody = points.on_curve(domain, (0.1, 0.5), (0.9, 0.5), spacing=0.1)
     nobody.remove(lambda x: x[0] > 0)
     with pytest.raises(ValueError, match="on no points"):

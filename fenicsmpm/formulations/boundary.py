@@ -18,6 +18,7 @@ from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
+from fenicsmpm.materials.law import number
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.of_position import OfPosition, vectors_at
@@ -103,8 +104,8 @@ def follower_pressure(z: Unknown, points: MaterialPoints, pressure: Any) -> ufl.
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: If there are no points on any rank, the points have no normals, or the pressure
-            is not a scalar.
+        ValueError: If there are no points on any rank, normals are missing, zero or not finite, or
+            the pressure is not a scalar.
     """
     u, w = motion_of(z, "a pressure that follows")
     require_points(points, "a load")
@@ -187,8 +188,8 @@ def nitsche_dirichlet(
         UFL form of rank 1, to be added to the residual.
 
     Raises:
-        ValueError: If there are no points on any rank, the points have no normals, the factor is
-            not positive and finite, or the displacement has a wrong shape.
+        ValueError: If there are no points on any rank, normals are missing, zero or not finite, the
+            factor is not positive and finite, or the displacement has a wrong shape.
     """
     z.require("u", "p", of="Nitsche's method")
     require_points(points, "a Dirichlet condition")
@@ -221,11 +222,12 @@ def modulus_of(material: Any, factor: float) -> float:
     Raises:
         ValueError: If modulus or factor is not positive and finite.
     """
-    modulus = getattr(material, "E", material)
-    for what, number in (("modulus", modulus), ("factor of the penalty", factor)):
-        if not 0 < number < np.inf:
-            raise ValueError(f"the {what} must be positive and finite: {number}")
-    return float(modulus)
+    modulus = number(getattr(material, "E", material), "E", "the modulus", "Pa")
+    factor = number(factor, "factor", "the factor of the penalty", "-")
+    for what, value in (("modulus", modulus), ("factor of the penalty", factor)):
+        if not 0 < value < np.inf:
+            raise ValueError(f"the {what} must be positive and finite: {value}")
+    return modulus
 
 
 def motion_of(z: Unknown, what: str) -> tuple[Any, Any]:
@@ -261,12 +263,33 @@ def carried_normal(points: MaterialPoints) -> PointField:
         points: Boundary points; see ``set_normals``.
 
     Raises:
-        ValueError: If the points have no normals.
+        ValueError: For the reasons of ``require_normals``.
+    """
+    require_normals(points)
+    normal = points.field("normal")
+    return normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
+
+
+def require_normals(points: MaterialPoints) -> None:
+    """Raise ValueError on all ranks unless all points have normals. Collective.
+
+    Args:
+        points: Boundary points; see ``set_normals``.
+
+    Raises:
+        ValueError: If there is no field "normal", or a normal is zero or not finite.
     """
     if "normal" not in points:
         raise ValueError("boundary points without normals: call set_normals(points, normals) first")
-    normal = points.field("normal")
-    return normal.renew(lambda k: ufl.dot(k.cofactor(), normal))
+    length = np.linalg.norm(points["normal"], axis=1)
+    bad = np.flatnonzero(~((length > 0) & np.isfinite(length)))
+    error = None
+    if len(bad):
+        error = ValueError(
+            f"{len(bad)} of {len(points)} normals are zero or not finite, first at "
+            f"{points.x[bad[0]]}: give outer unit normals by set_normals(points, normals)"
+        )
+    raise_together(points.mesh.comm, error)
 
 
 def _moved_area(u: Any, points: MaterialPoints) -> Any:

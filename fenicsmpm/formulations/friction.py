@@ -9,6 +9,7 @@ import numpy as np
 import ufl
 
 from fenicsmpm.formulations.stabilization_parameters import element_size
+from fenicsmpm.materials.law import number
 from fenicsmpm.points.point_field import PointField
 
 _SMALL = 1e-12  # share of the cell size that is added to lengths, so that they have a derivative
@@ -21,11 +22,12 @@ def checked_friction(friction: float) -> float:
         friction: Coefficient of Coulomb friction [-].
 
     Raises:
-        ValueError: If it is negative or not finite.
+        ValueError: If it is no number, negative or not finite.
     """
-    if not 0 <= friction < np.inf:
-        raise ValueError(f"a coefficient of friction must be finite and not negative: {friction}")
-    return float(friction)
+    value = number(friction, "friction", "a coefficient of friction", "-")
+    if not 0 <= value < np.inf:
+        raise ValueError(f"a coefficient of friction must be finite and not negative: {value}")
+    return value
 
 
 def elastic_slip(spring: PointField, way: Any, normal: Any, limit: Any) -> Any:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import ufl
 
 from fenicsmpm.cells import ActiveCells
@@ -11,6 +13,7 @@ from fenicsmpm.formulations.mixed import MixedLaw
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, VonMises
+from fenicsmpm.materials.law import number
 
 
 def ghost_penalty(
@@ -41,7 +44,7 @@ def ghost_penalty(
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: If the factor is not positive, or the law has no shear modulus.
+        ValueError: If the factor is not positive and finite, or the law has no shear modulus.
     """
     _check(gamma)
     z.require("u", of="the ghost penalty")
@@ -80,7 +83,7 @@ def ghost_mass(
         UFL form of rank 1 over facets.
 
     Raises:
-        ValueError: If the factor is not positive.
+        ValueError: If the factor is not positive and finite.
     """
     _check(gamma)
     h, jump = jumps(cells.mesh)
@@ -91,5 +94,8 @@ def ghost_mass(
 
 
 def _check(gamma: float) -> None:
-    if not gamma > 0:
-        raise ValueError(f"the factor of the ghost penalty must be positive: gamma = {gamma}")
+    value = number(gamma, "gamma", "the factor of the ghost penalty", "-")
+    if not 0 < value < math.inf:
+        raise ValueError(
+            f"the factor of the ghost penalty must be positive and finite: gamma = {value}"
+        )

@@ -21,6 +21,7 @@ from fenicsmpm.formulations.mixed import MixedLaw
 from fenicsmpm.formulations.stabilization_parameters import modulus, squared_size, tau
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
+from fenicsmpm.materials.law import number
 from fenicsmpm.points import MaterialPoints
 
 GAMMA = 0.05
@@ -129,6 +130,7 @@ def require_second_derivatives(points: MaterialPoints, what: str) -> None:
 
 def _check(z: Unknown, gamma: float, what: str) -> None:
     z.require("p", of=what)
+    gamma = number(gamma, "gamma", f"the factor of {what}", "-")
     if not 0 < gamma < np.inf:
         raise ValueError(f"the factor of {what} must be positive and finite: gamma = {gamma}")
 

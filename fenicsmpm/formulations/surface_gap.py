@@ -79,15 +79,6 @@ class SurfaceGap:
         self.points, self._surface = points, surface
         dim = points.mesh.geometry.dim
         normal_there = carried_normal(surface)
-        length = np.linalg.norm(surface["normal"], axis=1)
-        bad = np.flatnonzero(~((length > 0) & np.isfinite(length)))
-        error = None
-        if len(bad):
-            error = ValueError(
-                f"{len(bad)} of {len(surface)} normals of a surface are zero or not finite, first "
-                f"at {surface.x[bad[0]]}: give outer unit normals by set_normals(points, normals)"
-            )
-        raise_together(points.mesh.comm, error)
         self._values: dict[str, Array] = {}
         self._known: tuple[int, int] | None = None
         fields = []

@@ -91,7 +91,7 @@ class DruckerPrager(Frictional):
       sqrt(9 + 12 tan^2(phi)) for associated flow, sin(phi) without dilatancy, and sin(phi) /
       (sqrt(1 - eta_psi^2 / 3) + eta_psi sin(phi) / 3) in general.
 
-    The state has four fields:
+    The state has five fields:
 
     - "C_p_inverse" ``(3, 3)`` is the inverse plastic right Cauchy-Green tensor [-].
     - "eps_p" is the accumulated ``sqrt(2/3) |plastic strain increment|`` [-], including the
@@ -99,6 +99,8 @@ class DruckerPrager(Frictional):
     - "opening" is the logarithmic plastic volumetric strain at the limit of tension, which closes
       without resistance [-] (see ``fenicsmpm.materials.frictional``).
     - "dissipation" is the sum of tau : plastic strain increments [J/m^3].
+    - "open_stress" is the mean Kirchhoff stress of open material if it is compressive, else zero
+      [Pa]. With this law it is always zero.
 
     Softening is linear in eps_p. Friction, cohesion and dilatancy, in terms of eta, xi c and
     eta_psi, reach their residual values at ``softening_strain``. A step uses the dilatancy at its

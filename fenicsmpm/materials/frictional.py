@@ -10,8 +10,10 @@ Material that opens in tension closes without resistance. The return to the tip 
 follows G. Klar et al., "Drucker-Prager elastoplasticity for sand animation", ACM TOG 35, 2016. The
 correction of volume follows A. P. Tampubolon et al., "Multi-species simulation of porous sand and
 water mixtures", ACM TOG 36, 2017, section 4.3.4. The state field "opening" stores the volumetric
-plastic strain that occurs at the tip. As long as it is positive, the mean stress cannot be
-compressive.
+plastic strain that the limit of tension causes, at the tip or in cracks. As long as it is positive,
+the mean stress is not compressive, or not more compressive than at the end of the previous step
+(state field "open_stress"). The latter is for cracks with compression along them, which remain able
+to carry what they carry. Openings close by isotropic plastic strain.
 """
 
 from __future__ import annotations
@@ -50,7 +52,7 @@ from fenicsmpm.materials.tensors import volume_change
 logger = logging.getLogger(__name__)
 
 # Columns of the state, in the order of Frictional.state
-_EPS_P, _OPENING, _DISSIPATION = 9, 10, 11
+_EPS_P, _OPENING, _DISSIPATION, _OPEN_STRESS = 9, 10, 11, 12
 
 # Limit of tension for laws without one [Pa]
 NO_LIMIT = 1e300
@@ -80,8 +82,25 @@ def _square(a):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _mean(tau):  # type: ignore[no-untyped-def]
+    return (tau[0] + tau[1] + tau[2]) / 3
+
+
+@compiled
+def _times_ones(D):  # type: ignore[no-untyped-def]
+    """Return the sums of the rows: derivatives with respect to equal strains."""
+    return D[0] + D[1] + D[2], D[3] + D[4] + D[5], D[6] + D[7] + D[8]
+
+
+@compiled
+def _sum(D):  # type: ignore[no-untyped-def]
+    x, y, z = _times_ones(D)
+    return x + y + z
+
+
+@compiled
 def _elastic_strain(tau, mu, kappa):  # type: ignore[no-untyped-def]
-    mean = (tau[0] + tau[1] + tau[2]) / 3
+    mean = _mean(tau)
     third, r = mean / (3 * kappa), 0.5 / mu
     return (
         third + r * (tau[0] - mean),
@@ -97,25 +116,17 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
     Args:
         return_map: ``return_map(strain, mu, kappa, strength, slopes, dilatancy)`` returns whether
             there is plastic flow, the principal stresses, d tau_a / d eps_b (a tuple of 9, by
-            rows), d tau_a / d eps_p, and the part of the volumetric plastic strain that is an
-            opening. Strains are sorted, with the largest one first.
+            rows), d tau_a / d eps_p, and the volumetric plastic strain at the limit of tension.
+            Strains are sorted, with the largest one first.
 
     Returns:
         The four functions; see ``Law``.
     """
 
     @compiled
-    def solve(strain, state, parameters):  # type: ignore[no-untyped-def]
-        """Compute all quantities of a step in principal axes."""
+    def returned(strain, eps_p, dilatancy, parameters):  # type: ignore[no-untyped-def]
+        """Return flow, stresses, their derivatives, and openings for strains after closing."""
         mu, kappa = parameters[0], parameters[1]
-        eps_p, opening = state[_EPS_P], state[_OPENING]
-        # Openings close before there is compression.
-        volume = strain[0] + strain[1] + strain[2]
-        closed = min(max(-volume, 0.0), opening)
-        third = closed / 3
-        strain = strain[0] + third, strain[1] + third, strain[2] + third
-        # Material that is open does not dilate.
-        dilatancy = _strength(eps_p, parameters)[2] if closed == opening else 0.0
         size = abs(strain[0]) + abs(strain[2])
         low, high = eps_p, math.inf
         x = eps_p
@@ -149,20 +160,71 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
                 x = 0.5 * (low + high) if high < math.inf else 2 * low - eps_p + increment
                 if not low < x < high:
                     break
-        return closed, strain, flows, tau, D, softening, opened, flow, increment, slope
+        if flows and parameters[2] > 0 and increment > 0:
+            # d eps_p = d|flow| / (1 - slope), flow = strain - C^-1 tau
+            f = _elastic_strain(flow, mu, kappa)
+            p = transposed_times(D, f)
+            r = 2 / 3 / increment / (1 - slope)
+            g = r * (flow[0] - p[0]), r * (flow[1] - p[1]), r * (flow[2] - p[2])
+            D = (
+                D[0] + softening[0] * g[0], D[1] + softening[0] * g[1], D[2] + softening[0] * g[2],
+                D[3] + softening[1] * g[0], D[4] + softening[1] * g[1], D[5] + softening[1] * g[2],
+                D[6] + softening[2] * g[0], D[7] + softening[2] * g[1], D[8] + softening[2] * g[2],
+            )  # fmt: skip
+        return flows, tau, D, opened, flow, increment
+
+    @compiled
+    def solve(strain, state, parameters):  # type: ignore[no-untyped-def]
+        """Compute all quantities of a step in principal axes."""
+        kappa, eps_p, opening, carried = (
+            parameters[1], state[_EPS_P], state[_OPENING], state[_OPEN_STRESS],
+        )  # fmt: skip
+        # Material that is open does not dilate.
+        dilatancy = _strength(eps_p, parameters)[2] if opening == 0 else 0.0
+        volume = strain[0] + strain[1] + strain[2]
+        # Openings close before there is more compression than the open material carries. When all
+        # is closed, the mean stress is that of the volume that is left.
+        closed = min(max(carried / kappa - volume, 0.0), opening)
+        least = min(carried, kappa * (volume + opening))
+        round_off = 1e-14 * kappa * (abs(strain[0]) + abs(strain[2]) + closed)
+        trial = strain
+        low, high = closed, math.inf
+        flows, tau, D, opened, flow, increment = False, strain, (0.0,) * 9, 0.0, strain, 0.0
+        for _ in range(100):
+            third = closed / 3
+            strain = trial[0] + third, trial[1] + third, trial[2] + third
+            flows, tau, D, opened, flow, increment = returned(strain, eps_p, dilatancy, parameters)
+            missing = least - _mean(tau)
+            # Tension that is cut off lowers the mean stress; then more must close. Newton's method,
+            # with bisection if it leaves the bracket.
+            if opening == 0 or abs(missing) <= round_off or (missing < 0 and closed == low):
+                break
+            if missing > 0:
+                low = closed
+            else:
+                high = closed
+            slope = _sum(D) / 9
+            closed += missing / slope if slope > 1e-10 * kappa else math.inf
+            if not low < closed < high:
+                closed = 0.5 * (low + high) if high < math.inf else 2 * low + abs(trial[2])
+                if not low < closed < high:
+                    break
+        is_closed = closed > 0 and kappa * (volume + opening) <= carried
+        opening = 0.0 if is_closed else max(opening + opened - closed, 0.0)
+        return closed, opening, strain, flows, tau, D, flow, increment
 
     @compiled
     def update(F, L, parameters, state, sigma):  # type: ignore[no-untyped-def]
         strain, n = principal_strains(elastic_deformation(F, state))
-        closed, strain, flows, tau, _D, _softening, opened, flow, increment, _slope = solve(
-            strain, state, parameters
-        )
+        closed, opening, strain, flows, tau, _D, flow, increment = solve(strain, state, parameters)
         if flows or closed > 0:
             elastic = strain[0] - flow[0], strain[1] - flow[1], strain[2] - flow[2]
             set_plastic_deformation(F, elastic, n, state)
             state[_EPS_P] += increment
-            state[_OPENING] += opened - closed
+            state[_OPENING] = opening
+            state[_DISSIPATION] -= state[_OPEN_STRESS] * closed
             state[_DISSIPATION] += tau[0] * flow[0] + tau[1] * flow[1] + tau[2] * flow[2]
+        state[_OPEN_STRESS] = min(_mean(tau), 0.0) if state[_OPENING] > 0 else 0.0
         set_cauchy_stress(sigma, tau, n, 1 + volume_change(F))
 
     @compiled
@@ -176,32 +238,28 @@ def functions(return_map: Any) -> tuple[Any, Any, Any, Any]:
     @compiled
     def linearize(strain, state, parameters):  # type: ignore[no-untyped-def]
         """Return stresses, d tau_a / d eps_b, and the derivatives of energy plus dissipation."""
-        mu, kappa = parameters[0], parameters[1]
-        volume = strain[0] + strain[1] + strain[2]
-        closed, strain, flows, tau, D, softening, _opened, flow, increment, slope = solve(
+        kappa, volume = parameters[1], strain[0] + strain[1] + strain[2]
+        closed, _opening, _strain, _flows, tau, D, flow, _increment = solve(
             strain, state, parameters
         )
-        if flows and parameters[2] > 0 and increment > 0:
-            # d eps_p = d|flow| / (1 - slope), flow = strain - C^-1 tau
-            f = _elastic_strain(flow, mu, kappa)
-            p = transposed_times(D, f)
-            r = 2 / 3 / increment / (1 - slope)
-            g = r * (flow[0] - p[0]), r * (flow[1] - p[1]), r * (flow[2] - p[2])
-            D = (
-                D[0] + softening[0] * g[0], D[1] + softening[0] * g[1], D[2] + softening[0] * g[2],
-                D[3] + softening[1] * g[0], D[4] + softening[1] * g[1], D[5] + softening[1] * g[2],
-                D[6] + softening[2] * g[0], D[7] + softening[2] * g[1], D[8] + softening[2] * g[2],
-            )  # fmt: skip
         w = work_derivatives(tau, D, flow)
-        if 0 < closed and closed == -volume:  # closing material does not resist changes of volume
-            x, y, z = (D[0] + D[1] + D[2]) / 3, (D[3] + D[4] + D[5]) / 3, (D[6] + D[7] + D[8]) / 3
+        # Closing sets the mean stress: it is constant, or linear in the volume.
+        along, stiffness = _times_ones(D), _sum(D)
+        if closed > 0 and stiffness > 1e-10 * kappa:
+            d_mean = kappa if kappa * (volume + state[_OPENING]) < state[_OPEN_STRESS] else 0.0
+            g = (
+                (3 * d_mean - D[0] - D[3] - D[6]) / stiffness,
+                (3 * d_mean - D[1] - D[4] - D[7]) / stiffness,
+                (3 * d_mean - D[2] - D[5] - D[8]) / stiffness,
+            )
+            x, y, z = along
             D = (
-                D[0] - x, D[1] - x, D[2] - x,
-                D[3] - y, D[4] - y, D[5] - y,
-                D[6] - z, D[7] - z, D[8] - z,
+                D[0] + x * g[0], D[1] + x * g[1], D[2] + x * g[2],
+                D[3] + y * g[0], D[4] + y * g[1], D[5] + y * g[2],
+                D[6] + z * g[0], D[7] + z * g[1], D[8] + z * g[2],
             )  # fmt: skip
-            x = (w[0] + w[1] + w[2]) / 3
-            w = w[0] - x, w[1] - x, w[2] - x
+            total = w[0] + w[1] + w[2] - 3 * state[_OPEN_STRESS]
+            w = w[0] + total * g[0], w[1] + total * g[1], w[2] + total * g[2]
         return tau, D, w
 
     @compiled
@@ -353,6 +411,7 @@ class Frictional(Law):
                 "eps_p": ((), 0.0),
                 "opening": ((), 0.0),
                 "dissipation": ((), 0.0),
+                "open_stress": ((), 0.0),
             },
             energy=energy,
             tangent=tangent,

@@ -150,10 +150,7 @@ def _return_map(strain, mu, kappa, strength, slopes, dilatancy):  # type: ignore
     x, y, z = _place(best)
     a, c, H, gamma = _solve(best, trial, lame, two_mu, strength, sines)
     tau = _returned(trial, c, gamma)
-    opened = 0.0
-    # Only isotropic tension counts as an opening, cracks do not.
-    if tau[0] - tau[2] <= 1e-12 * (tau[0] + excess):
-        opened = (x >= _1) * gamma[0] + (y >= _1) * gamma[1] + (z >= _1) * gamma[2]
+    opened = (x >= _1) * gamma[0] + (y >= _1) * gamma[1] + (z >= _1) * gamma[2]
     # d gamma = H (a_j C d eps + d f_j), with d f_j = d a_j . tau - d k_j at the end
     sheared = 0.5 * slopes[0]
     d = (
@@ -205,8 +202,11 @@ class MohrCoulomb(Frictional):
     needs no iterations.
 
     State and softening are those of ``DruckerPrager``, with sin(phi), c cos(phi) and sin(psi)
-    linear in eps_p. Only states with all three principal stresses at the limit of tension count as
-    openings. Cracks with compression along them do not close.
+    linear in eps_p. All flow on planes of tension counts as opening, also that of cracks with
+    compression along them. Such cracks go on carrying their mean stress, but must close before it
+    becomes more compressive. Unloading lowers what they carry until they have closed. The opening
+    has no direction: it closes by isotropic strain, from whatever side the material is pressed.
+    Material that is open does not dilate.
 
     Args:
         E: Young's modulus [Pa], positive.

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm.materials.law import number
 from fenicsmpm.rigid.contact_law import Contact
 from fenicsmpm.rigid.distance import distances_at, of_box, sampled
 from fenicsmpm.rigid.inertia import Inertia
@@ -85,6 +86,7 @@ class RigidBody:
         name: str | None = None,
     ) -> None:
         """Check the arguments, and sample the distance."""
+        friction = number(friction, "friction", "a coefficient of friction", "-")
         if not (0 < reach < np.inf and friction >= 0 and 0 < stiffness < np.inf):
             raise ValueError(
                 "a rigid body needs a positive reach and stiffness and no negative friction: "

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.cells.weight_correction import filled_fractions
+from fenicsmpm.materials.law import number
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 
@@ -56,6 +57,8 @@ class Contact:
         """Check the input."""
         if first is second:
             raise ValueError("a body cannot touch itself: its points share velocities")
+        friction = number(friction, "friction", "a coefficient of friction", "-")
+        stiffness = number(stiffness, "stiffness", "the stiffness of a contact", "-")
         if not friction >= 0:
             raise ValueError(f"friction must be a number that is not negative, not {friction}")
         if not 0 < stiffness < np.inf:

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fenicsmpm.cells.weight_correction import filled_fractions
+from fenicsmpm.formulations.boundary import require_normals
 from fenicsmpm.formulations.initial_state import set_initial_state
-from fenicsmpm.materials.law import finite, positive
+from fenicsmpm.materials.law import finite, number, positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.material_points import Selection
@@ -49,7 +50,8 @@ class Source(Observer):
         count: Number of points that have come in, likewise.
 
     Raises:
-        ValueError: On all ranks, for an inlet without normals or points; a velocity that is not
+        ValueError: On all ranks, for an inlet without points, or with normals that are missing,
+            zero or not finite; a velocity that is not
             finite, has another shape, or points out of the mesh somewhere; a density or spacing
             that is not positive and finite. In the loop, if points would be added to cells that
             are already full.
@@ -66,6 +68,7 @@ class Source(Observer):
         spacing: float,
     ) -> None:
         """Check the inlet and the velocity. Collective."""
+        spacing = number(spacing, "spacing", "the spacing of points of a source", "m")
         if not 0 < spacing < np.inf:
             raise ValueError(f"the spacing of points of a source must be positive, not {spacing} m")
         if inlet.mesh is not body.mesh or "normal" not in inlet or inlet.size_global == 0:
@@ -73,6 +76,7 @@ class Source(Observer):
                 "an inlet needs boundary points on the body's mesh with the field 'normal', such "
                 "as those of points.on_curve and points.on_facets"
             )
+        require_normals(inlet)
         self._body, self._inlet, self._spacing = body, inlet, float(spacing)
         self._density = positive(density, "density", "density of what flows in", "kg/m^d")
         dim = inlet.mesh.geometry.dim
@@ -175,12 +179,20 @@ class Sink(Observer):
         mass: Mass that has gone out so far in kg, zero for carried points; it goes on in a restart
             and in ``Rebalanced``.
         count: Number of points that have gone out, likewise.
+
+    Raises:
+        ValueError: If the region is no marker, mask or indices.
     """
 
     totals = ("mass", "count")
 
     def __init__(self, body: MaterialPoints, where: Selection) -> None:
         """Create the observer; nothing has gone out yet."""
+        if not callable(where) and np.ndim(where) != 1:
+            raise ValueError(
+                "the region of a sink must be a marker, such as lambda x: x[0] > 2.0, a mask or "
+                f"indices, not {where!r}"
+            )
         self._body, self._where = body, where
         self.mass, self.count = 0.0, 0
 
