@@ -9,9 +9,9 @@ import fenicsmpm
 ROOT = Path(fenicsmpm.__file__).parent
 # From the ground up, as in CONTRIBUTING.md
 FLOORS = [
-    "_display", "_jit", "_compat", "_njit", "_garbage", "_memory", "lanes", "shapes", "points",
-    "basis", "rigid", "forms", "materials", "transfer", "cells", "formulations", "solvers",
-    "diagnostics", "simulation", "io", "verification", "__init__",
+    "_display", "_jit", "_compat", "_njit", "_garbage", "_memory", "_numbers",
+    "lanes", "shapes", "points", "basis", "rigid", "forms", "materials", "transfer", "cells",
+    "formulations", "solvers", "diagnostics", "simulation", "io", "verification", "__init__",
 ]  # fmt: skip
 
 

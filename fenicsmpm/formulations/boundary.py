@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from fenicsmpm._numbers import number
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.stabilization_parameters import element_size
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, NeoHookean
-from fenicsmpm.materials.law import number
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.of_position import OfPosition, vectors_at

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import ufl
 
+from fenicsmpm._numbers import number
 from fenicsmpm.formulations.stabilization_parameters import element_size
-from fenicsmpm.materials.law import number
 from fenicsmpm.points.point_field import PointField
 
 _SMALL = 1e-12  # share of the cell size that is added to lengths, so that they have a derivative

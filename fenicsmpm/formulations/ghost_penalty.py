@@ -7,13 +7,13 @@ import math
 
 import ufl
 
+from fenicsmpm._numbers import number
 from fenicsmpm.cells import ActiveCells
 from fenicsmpm.formulations.facet_jumps import jumps, of_jumps
 from fenicsmpm.formulations.mixed import MixedLaw
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
 from fenicsmpm.materials import Hencky, VonMises
-from fenicsmpm.materials.law import number
 
 
 def ghost_penalty(

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.materials.law import finite
+from fenicsmpm._numbers import finite
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.of_position import OfPosition, values_at, vectors_at

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._numbers import finite
 from fenicsmpm.formulations.initial_state import require_initial_state
 from fenicsmpm.formulations.newtonian_flow import NewtonianFlow
 from fenicsmpm.materials import Law, NeoHookean, from_energy, state_of, stress, stretch_of
-from fenicsmpm.materials.law import finite
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.of_position import OfPosition, values_at

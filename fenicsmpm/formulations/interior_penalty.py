@@ -13,6 +13,7 @@ from mpi4py import MPI
 import numpy as np
 import ufl
 
+from fenicsmpm._numbers import number
 from fenicsmpm.basis import functions_of
 from fenicsmpm.cells import ActiveCells
 from fenicsmpm.formulations.facet_jumps import jumps, of_jumps
@@ -21,7 +22,6 @@ from fenicsmpm.formulations.mixed import MixedLaw
 from fenicsmpm.formulations.stabilization_parameters import modulus, squared_size, tau
 from fenicsmpm.formulations.time_scheme import TimeScheme
 from fenicsmpm.formulations.unknown import Unknown
-from fenicsmpm.materials.law import number
 from fenicsmpm.points import MaterialPoints
 
 GAMMA = 0.05

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.materials.law import finite, number
+from fenicsmpm._numbers import finite, number
 from fenicsmpm.points.of_position import OfPosition
 
 Array = npt.NDArray[np.float64]

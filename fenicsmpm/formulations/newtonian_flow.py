@@ -9,9 +9,9 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
+from fenicsmpm._numbers import number, positive
 from fenicsmpm.formulations.kinematics import Kinematics
 from fenicsmpm.formulations.time_scheme import TimeScheme
-from fenicsmpm.materials.law import number, positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.point_field import PointField

@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from fenicsmpm.materials.law import Law, compiled, p_wave_modulus, positive
+from fenicsmpm._numbers import positive
+from fenicsmpm.materials.law import Law, compiled, p_wave_modulus
 from fenicsmpm.materials.principal_stress import (
     elastic_deformation,
     principal_strains,

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._numbers import positive
 from fenicsmpm.materials.evaluate import stress, tangent
-from fenicsmpm.materials.law import Law, compiled, positive
+from fenicsmpm.materials.law import Law, compiled
 
 Array = npt.NDArray[np.float64]
 

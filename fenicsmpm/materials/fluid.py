@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from fenicsmpm._numbers import not_negative, positive
 from fenicsmpm.lanes import choose
-from fenicsmpm.materials.law import Law, compiled, not_negative, positive
+from fenicsmpm.materials.law import Law, compiled
 from fenicsmpm.materials.tensors import volume_change
 
 

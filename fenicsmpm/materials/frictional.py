@@ -26,16 +26,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._numbers import not_negative, number, positive
 from fenicsmpm.materials.hencky import stored_energy
-from fenicsmpm.materials.law import (
-    Law,
-    compiled,
-    elastic_moduli,
-    not_negative,
-    number,
-    p_wave_modulus,
-    positive,
-)
+from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
 from fenicsmpm.materials.principal_stress import (
     elastic_deformation,
     principal_strains,

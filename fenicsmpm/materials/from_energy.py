@@ -13,9 +13,10 @@ import basix.ufl
 import numpy as np
 import ufl
 
+from fenicsmpm._numbers import finite
 from fenicsmpm.forms.kernels import COORDINATES, Kernel, compile_kernel, kernel_of_nine
 from fenicsmpm.forms.lowering import INTERVAL, ONE_POINT
-from fenicsmpm.materials.law import Law, compiled, finite
+from fenicsmpm.materials.law import Law, compiled
 from fenicsmpm.materials.tensors import rows, volume_change
 
 

@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from fenicsmpm._numbers import positive
 from fenicsmpm.materials.law import (
     Law,
     compiled,
     elastic_moduli,
     p_wave_modulus,
     poissons_ratio,
-    positive,
 )
 from fenicsmpm.materials.tensors import inverse_cube_root, metric_change, volume_change
 

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from fenicsmpm._numbers import number, positive
 from fenicsmpm.lanes import between, choose
 from fenicsmpm.materials.hencky import (
     are_small,
@@ -18,14 +19,7 @@ from fenicsmpm.materials.hencky import (
     small_deviatoric_strain,
     stored_energy,
 )
-from fenicsmpm.materials.law import (
-    Law,
-    compiled,
-    elastic_moduli,
-    number,
-    p_wave_modulus,
-    positive,
-)
+from fenicsmpm.materials.law import Law, compiled, elastic_moduli, p_wave_modulus
 from fenicsmpm.materials.principal_stress import elastic_deformation
 from fenicsmpm.materials.tensors import (
     SMALL,

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from fenicsmpm.materials.law import number
+from fenicsmpm._numbers import number
 from fenicsmpm.rigid.contact_law import Contact
 from fenicsmpm.rigid.distance import distances_at, of_box, sampled
 from fenicsmpm.rigid.inertia import Inertia

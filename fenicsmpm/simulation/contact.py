@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._numbers import number
 from fenicsmpm.cells.weight_correction import filled_fractions
-from fenicsmpm.materials.law import number
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 

@@ -10,10 +10,10 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from fenicsmpm._numbers import finite, number, positive
 from fenicsmpm.cells.weight_correction import filled_fractions
 from fenicsmpm.formulations.boundary import require_normals
 from fenicsmpm.formulations.initial_state import set_initial_state
-from fenicsmpm.materials.law import finite, number, positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.agreement import raise_together
 from fenicsmpm.points.material_points import Selection

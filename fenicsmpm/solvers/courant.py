@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from fenicsmpm._numbers import positive
 from fenicsmpm.materials import Law
-from fenicsmpm.materials.law import positive
 from fenicsmpm.points import MaterialPoints
 from fenicsmpm.points.geometry import cell_geometry
 from fenicsmpm.solvers.checks import require_points
