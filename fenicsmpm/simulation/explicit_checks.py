@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
-from ufl.classes import Identity, Sum
+from ufl.classes import Identity, Indexed, Sum
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
@@ -109,7 +109,8 @@ def check_increments(
     found += [value for fields in updates for value in fields.values() if isinstance(value, Expr)]
     for node in (node for expression in found for node in unique_pre_traversal(expression)):
         if isinstance(node, Sum):
-            a, b = node.ufl_operands
+            # UFL may have moved the indices of a component into the sum
+            a, b = (e.ufl_operands[0] if isinstance(e, Indexed) else e for e in node.ufl_operands)
             if (isinstance(a, Identity) and b in wrong) or (isinstance(b, Identity) and a in wrong):
                 raise ValueError(
                     "I + grad v adds a rate to a number: Kinematics needs an increment of "
